@@ -1,0 +1,69 @@
+# make demo    set up, then the whole chain on drawer-open, ending in runs/demo/report.html
+# make test    set up, then all tests
+# Other verbs: setup, format, check, build, clean. Set-up is done once, and again when pyproject.toml changes.
+
+SHELL := /bin/sh
+BIN := .venv/bin
+READY := .venv/ready-$(firstword $(shell cksum pyproject.toml))
+
+DATA := data/demo
+ENCODER := runs/demo/encoder
+AGENT := runs/demo/agent
+REPORT := runs/demo/report.html
+
+.PHONY: help setup demo format check test build clean
+.DELETE_ON_ERROR:
+
+help:
+	@sed -n 's/^# //p' Makefile | head -3
+
+setup: $(READY)
+
+$(READY):
+	@start=$$(date +%s) && sh tools/install_system_libraries.sh && sh tools/install_environment.sh && \
+		rm -f .venv/ready-* && touch $@ && echo "setup: done in $$(($$(date +%s) - start)) s"
+
+# A stage of the demo is done when its summary.json exists; one that was interrupted goes on where it stopped.
+# $(call stage,name,arguments) runs a command of nerf-rl and prints how long it took.
+define stage
+@start=$$(date +%s) && echo "==> nerf-rl $(1) $(2)" && $(BIN)/nerf-rl $(1) $(2) && \
+	echo "==> $(1) took $$(($$(date +%s) - start)) s"
+endef
+
+demo: $(REPORT)
+	@echo "Open $(REPORT). To start over: rm -r $(DATA) runs/demo"
+
+$(DATA)/summary.json: | $(READY)
+	$(call stage,gen-dataset,--config datasets/demo.yaml --out $(DATA) --resume true)
+
+$(ENCODER)/summary.json: | $(DATA)/summary.json
+	$(call stage,pretrain,--config pretrain/demo.yaml --data $(DATA) --out $(ENCODER) --resume true)
+
+$(AGENT)/summary.json: | $(ENCODER)/summary.json
+	$(call stage,train-rl,--config rl/demo.yaml --encoder $(ENCODER) --out $(AGENT) --resume true)
+
+$(REPORT): $(DATA)/summary.json $(ENCODER)/summary.json $(AGENT)/summary.json
+	$(call stage,report,--data $(DATA) --encoder $(ENCODER) --agent $(AGENT) --out $(REPORT))
+
+format: $(READY)
+	$(BIN)/ruff check --fix-only --quiet .
+	$(BIN)/ruff format .
+
+check: $(READY)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/python tools/import_all_modules.py
+
+# TESTS narrows the run: make test TESTS="tests/test_cameras.py -x"
+test: $(READY)
+	$(BIN)/python -m pytest $(TESTS)
+
+build: $(READY)
+	rm -rf build dist
+	$(BIN)/python -m build --wheel
+	sh tools/smoke_test_wheel.sh
+
+clean:
+	rm -rf build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache
+	find nerf_rl tests tools -name __pycache__ -type d -prune -exec rm -rf {} +
