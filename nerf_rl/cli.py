@@ -1,0 +1,123 @@
+"""The command line: each sub-command is a function of one configuration dataclass.
+
+Nothing heavy is imported until a sub-command is known and its arguments are valid, so help and mistakes answer at once.
+"""
+
+import dataclasses
+import importlib
+import sys
+import traceback
+from collections.abc import Sequence
+from typing import Any
+
+from nerf_rl import __version__
+from nerf_rl.errors import UnknownNameError, UserError
+
+
+@dataclasses.dataclass(frozen=True)
+class Command:
+    """One sub-command: its configuration class and its function as ``module:name``, and a line of help."""
+
+    config: str
+    function: str
+    help: str
+
+
+COMMANDS = {
+    "gen-dataset": Command(
+        "nerf_rl.datasets.config:GenDatasetConfig",
+        "nerf_rl.datasets.generator:generate_dataset",
+        "render a multi-view dataset (RGB, labels, depth, camera matrices) from a MuJoCo scene",
+    ),
+    "pretrain": Command(
+        "nerf_rl.pretrain.config:PretrainConfig",
+        "nerf_rl.pretrain.train:pretrain",
+        "train the multi-view encoder through a latent-conditioned radiance field",
+    ),
+    "probe": Command(
+        "nerf_rl.pretrain.config:ProbeConfig",
+        "nerf_rl.pretrain.probe:probe",
+        "measure what a frozen encoder's latent knows of the true state",
+    ),
+    "train-rl": Command(
+        "nerf_rl.rl.config:TrainRLConfig",
+        "nerf_rl.rl.train:train_rl",
+        "train DDPG on the frozen latent plus proprioception, or on the true state",
+    ),
+    "evaluate": Command(
+        "nerf_rl.rl.config:EvaluateConfig",
+        "nerf_rl.rl.evaluate:evaluate",
+        "evaluate a trained policy, with video",
+    ),
+    "report": Command(
+        "nerf_rl.tools.config:ReportConfig",
+        "nerf_rl.tools.report:write_report",
+        "gather a dataset, an encoder and an agent into one self-contained HTML page",
+    ),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a sub-command; return 0, 1 (failure), 2 (the user's mistake) or 130 (interrupted)."""
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(_help())
+        return 0 if arguments else 2
+    if arguments[0] == "--version":
+        print(f"nerf-rl {__version__}")
+        return 0
+    name, rest = arguments[0], arguments[1:]
+    try:
+        if name not in COMMANDS:
+            raise UnknownNameError("command", name, COMMANDS)
+        config = parse(name, rest)
+        _load(COMMANDS[name].function)(config)
+    except UserError as error:
+        print(f"nerf-rl {name}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"nerf-rl {name}: interrupted", file=sys.stderr)
+        return 130
+    except Exception:
+        traceback.print_exc()
+        return 1
+    return 0
+
+
+def parse(name: str, arguments: Sequence[str]) -> Any:
+    """Return the configuration of a sub-command from its arguments.
+
+    Raises:
+        UserError: an unknown key, a value of the wrong type or out of range, an unreadable recipe.
+        SystemExit: after ``--help`` and ``--print_config``.
+    """
+    from nerf_rl.arguments import parse_config  # jsonargparse takes longer to import than `nerf-rl --help` may take
+
+    command = COMMANDS[name]
+    return parse_config(_load(command.config), f"nerf-rl {name}", command.help, arguments)
+
+
+def _load(target: str) -> Any:
+    module, attribute = target.split(":")
+    return getattr(importlib.import_module(module), attribute)
+
+
+def _help() -> str:
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:<{width}}  {command.help}" for name, command in COMMANDS.items()]
+    return "\n".join(
+        [
+            "usage: nerf-rl COMMAND [--config FILE] [--key value ...]",
+            "",
+            "Perception-first robot learning on MuJoCo.",
+            "",
+            "commands:",
+            *lines,
+            "",
+            "nerf-rl COMMAND --help lists a command's keys; --print_config prints its full recipe.",
+        ]
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,40 @@
+"""Mistakes that the user can mend, each told in one sentence that lists what is available."""
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+from pathlib import Path
+
+
+class UserError(Exception):
+    """Base class: the command line prints the message without a traceback and exits with 2."""
+
+
+class UnknownNameError(UserError):
+    """A name that is not among those available."""
+
+    def __init__(self, kind: str, name: str, available: Iterable[str]):
+        names = sorted(available)
+        close = get_close_matches(name, names, n=3, cutoff=0.5)
+        hint = f" (did you mean {' or '.join(close)}?)" if close else ""
+        super().__init__(f"unknown {kind} '{name}'{hint}; available: {', '.join(names) or 'none'}")
+
+
+class MissingFileError(UserError):
+    """An input that does not exist or is not what the command expects."""
+
+    def __init__(self, kind: str, path: Path | str, reason: str, remedy: str):
+        super().__init__(f"{path} is not {kind}: {reason}; {remedy}")
+
+
+class OutputExistsError(UserError):
+    """The output folder already holds something that would be lost."""
+
+    def __init__(self, path: Path | str, choices: str):
+        super().__init__(f"output folder {path} already exists and is not empty; {choices}")
+
+
+class RigMismatchError(UserError):
+    """The cameras at hand are not those that an encoder was trained on."""
+
+    def __init__(self, difference: str):
+        super().__init__(f"the encoder was trained on another camera rig: {difference}")

@@ -1,0 +1,57 @@
+"""Progress of long work: a bar on a terminal, plain lines otherwise."""
+
+import sys
+import time
+from types import TracebackType
+
+from tqdm import tqdm
+
+
+class Progress:
+    """Counts units of work; use as a context manager.
+
+    Args:
+        total: units in all.
+        unit: their name in the plural.
+        done: units that were finished before this run.
+        seconds_between_lines: pause between two plain lines when the output is no terminal [s].
+    """
+
+    def __init__(self, total: int, unit: str, done: int = 0, seconds_between_lines: float = 10.0):
+        self._total, self._unit, self._done, self._initial = total, unit, done, done
+        self._pause = seconds_between_lines
+        self._start = self._last_line = time.monotonic()
+        self._bar = (
+            tqdm(total=total, initial=done, unit=f" {unit}", dynamic_ncols=True) if sys.stderr.isatty() else None
+        )
+
+    def advance(self, units: int = 1, note: str = "") -> None:
+        """Count ``units`` more and show ``note`` beside the figures."""
+        self._done += units
+        if self._bar is not None:
+            self._bar.set_postfix_str(note, refresh=False)
+            self._bar.update(units)
+            return
+        now = time.monotonic()
+        if now - self._last_line >= self._pause or self._done >= self._total:
+            self._last_line = now
+            rate = (self._done - self._initial) / max(now - self._start, 1e-9)
+            remaining = (self._total - self._done) / rate if rate > 0 else float("inf")
+            line = f"{self._done}/{self._total} {self._unit}, {rate:.1f}/s, {remaining:.0f} s left"
+            print(f"{line}  {note}".rstrip(), flush=True)
+
+    def say(self, line: str) -> None:
+        """Print a line without breaking the bar."""
+        if self._bar is not None:
+            self._bar.write(line, file=sys.stdout)
+        else:
+            print(line, flush=True)
+
+    def __enter__(self) -> "Progress":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.close()

@@ -1,0 +1,125 @@
+"""Output folders: what may be written where, and the record of how each result was made."""
+
+import dataclasses
+import importlib.metadata
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from nerf_rl import __version__
+from nerf_rl.errors import OutputExistsError
+
+_RECORDED_PACKAGES = ("torch", "torchrl", "lightning", "mujoco", "metaworld", "gymnasium", "h5py", "numpy")
+PROVENANCE = "provenance.json"
+
+
+def prepare_output(folder: Path, overwrite: bool, resume: bool = False, can_resume: bool = False) -> None:
+    """Create an output folder, or accept an existing one if the user asked to overwrite or resume.
+
+    Only a folder that a command of ours wrote (it holds ``provenance.json``) is ever removed.
+
+    Raises:
+        OutputExistsError: the folder holds something and neither applies.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())) and not (resume and can_resume):
+        ours = (folder / PROVENANCE).is_file()
+        if not overwrite:
+            resuming = "--resume true, " if can_resume and ours else ""
+            raise OutputExistsError(folder, f"use {resuming}--overwrite true or another --out")
+        if not ours:
+            raise OutputExistsError(folder, f"it holds no {PROVENANCE}, so it is not overwritten; use another --out")
+        shutil.rmtree(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file so that it exists whole or not at all: aside, flushed to disk, renamed."""
+    aside = path.with_name(f".{path.name}.partial")
+    with open(aside, "w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(aside, path)
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write JSON whole or not at all; numbers that JSON has no word for (NaN, infinity) are an error."""
+    write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file."""
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def write_provenance(folder: Path, command: str, config: Any) -> None:
+    """Write the resolved configuration and the versions behind a run: ``config.yaml`` and ``provenance.json``.
+
+    Args:
+        folder: the output folder.
+        command: the sub-command's name.
+        config: its configuration, a dataclass.
+    """
+    write_text(folder / "config.yaml", yaml.safe_dump(plain(config), sort_keys=False))
+    write_json(
+        folder / PROVENANCE,
+        {
+            "command": command,
+            "arguments": sys.argv[1:],
+            "seed": getattr(config, "seed", None),
+            "nerf_rl": __version__,
+            "git_revision": git_revision(),
+            "python": sys.version.split()[0],
+            "packages": package_versions(),
+        },
+    )
+
+
+def plain(value: Any) -> Any:
+    """Turn dataclasses, paths and tuples into what YAML and JSON can say."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def git_revision() -> str | None:
+    """Return the revision of the checkout this package runs from, with ``-dirty`` for uncommitted changes, if any."""
+    try:
+        described = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            timeout=5,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return described.stdout.strip() if described.returncode == 0 else None
+
+
+def package_versions() -> dict[str, str]:
+    """Return the versions of the packages that results depend on."""
+    versions = {}
+    for name in _RECORDED_PACKAGES:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return versions
+
+
+def peak_rss_mb() -> float:
+    """Return the peak resident memory of this process so far [MB]."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1024 * 1024 if sys.platform == "darwin" else 1024)

@@ -1,0 +1,127 @@
+"""Output folders: nothing of the user's is lost, and a file that exists is whole."""
+
+import dataclasses
+import json
+import os
+from pathlib import Path
+
+import pytest
+import yaml
+
+from nerf_rl import runs
+from nerf_rl.errors import OutputExistsError
+
+
+@dataclasses.dataclass
+class Inner:
+    names: tuple[str, ...] = ("a", "b")
+
+
+@dataclasses.dataclass
+class Config:
+    out: Path = Path("somewhere")
+    seed: int = 7
+    inner: Inner = dataclasses.field(default_factory=Inner)
+
+
+@pytest.fixture
+def foreign(tmp_path: Path) -> Path:
+    """A folder with a file of the user's."""
+    folder = tmp_path / "thesis"
+    folder.mkdir()
+    (folder / "chapter.tex").write_text("years of work")
+    return folder
+
+
+@pytest.fixture
+def ours(tmp_path: Path) -> Path:
+    """A folder that an earlier run wrote."""
+    folder = tmp_path / "run"
+    runs.prepare_output(folder, overwrite=False)
+    runs.write_provenance(folder, "pretrain", Config())
+    (folder / "old.txt").write_text("old")
+    return folder
+
+
+def test_a_new_output_folder_is_made_with_its_parents(tmp_path: Path):
+    runs.prepare_output(tmp_path / "a" / "b", overwrite=False)
+    assert (tmp_path / "a" / "b").is_dir()
+
+
+def test_an_empty_folder_is_accepted(tmp_path: Path):
+    runs.prepare_output(tmp_path, overwrite=False)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_folder_is_refused_and_kept(ours: Path):
+    with pytest.raises(OutputExistsError, match="already exists and is not empty; use --overwrite true or another"):
+        runs.prepare_output(ours, overwrite=False)
+    assert (ours / "old.txt").read_text() == "old"
+
+
+def test_resuming_is_offered_only_where_it_is_possible(ours: Path, foreign: Path):
+    with pytest.raises(OutputExistsError, match="--resume true"):
+        runs.prepare_output(ours, overwrite=False, can_resume=True)
+    with pytest.raises(OutputExistsError, match=r"^((?!--resume).)*$"):
+        runs.prepare_output(foreign, overwrite=False, can_resume=True)
+
+
+def test_resuming_keeps_what_is_there(ours: Path):
+    runs.prepare_output(ours, overwrite=False, resume=True, can_resume=True)
+    assert (ours / "old.txt").read_text() == "old"
+
+
+def test_overwriting_empties_a_folder_of_ours(ours: Path):
+    runs.prepare_output(ours, overwrite=True)
+    assert list(ours.iterdir()) == []
+
+
+def test_overwriting_never_removes_a_folder_that_is_not_ours(foreign: Path):
+    with pytest.raises(OutputExistsError, match=r"holds no provenance\.json, so it is not overwritten"):
+        runs.prepare_output(foreign, overwrite=True)
+    assert (foreign / "chapter.tex").read_text() == "years of work"
+
+
+def test_an_output_that_is_a_file_is_refused_and_kept(foreign: Path):
+    for overwrite in (False, True):
+        with pytest.raises(OutputExistsError):
+            runs.prepare_output(foreign / "chapter.tex", overwrite=overwrite)
+    assert (foreign / "chapter.tex").read_text() == "years of work"
+
+
+def test_a_write_that_fails_leaves_the_old_file_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = tmp_path / "summary.json"
+    runs.write_text(path, "old")
+
+    def fail(descriptor: int) -> None:
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(OSError, match="no space"):
+        runs.write_text(path, "new")
+    assert path.read_text() == "old"
+
+
+def test_a_written_file_replaces_the_old_one_and_leaves_nothing_beside(tmp_path: Path):
+    runs.write_text(tmp_path / "a.txt", "old")
+    runs.write_text(tmp_path / "a.txt", "nëw")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]
+    assert (tmp_path / "a.txt").read_text(encoding="utf-8") == "nëw"
+
+
+def test_json_refuses_what_json_cannot_say(tmp_path: Path):
+    with pytest.raises(ValueError, match="JSON compliant"):
+        runs.write_json(tmp_path / "a.json", {"psnr_db": float("inf")})
+    assert not (tmp_path / "a.json").exists()
+
+
+def test_provenance_records_config_seed_and_versions(ours: Path):
+    assert yaml.safe_load((ours / "config.yaml").read_text()) == {
+        "out": "somewhere",
+        "seed": 7,
+        "inner": {"names": ["a", "b"]},
+    }
+    provenance = json.loads((ours / "provenance.json").read_text())
+    assert provenance["command"] == "pretrain"
+    assert provenance["seed"] == 7
+    assert {"torch", "mujoco", "numpy"} <= provenance["packages"].keys()
