@@ -1,0 +1,1 @@
+"""From a MuJoCo scene to a multi-view dataset with camera matrices."""

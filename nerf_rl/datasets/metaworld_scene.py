@@ -1,0 +1,99 @@
+"""Meta-World v3 tasks as scenes, with their traps mended."""
+
+import warnings
+from importlib.metadata import version
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+from gymnasium.envs.mujoco import MujocoEnv
+from jaxtyping import Float
+from metaworld.env_dict import ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE, ENV_CLS_MAP
+from metaworld.policies import ENV_POLICY_MAP
+from numpy import ndarray
+
+from nerf_rl.datasets.scenes import METAWORLD, Policy, Scene
+from nerf_rl.errors import UnknownNameError
+
+_FIRST_OBJECT = {"drawer-open-v3": "handle", "drawer-close-v3": "handle", "door-open-v3": "handle"}
+
+
+class SeededMetaWorld(gymnasium.Wrapper):
+    """A Meta-World environment whose ``reset(seed=...)`` works and whose first observation is true.
+
+    Three things differ from the bare environment: a seed given to ``reset`` seeds the drawing of object positions
+    (Meta-World ignores it), the reset is done once instead of twice, and positions are propagated after the reset has
+    moved bodies of the model, so that the first observation and the first picture show where the objects are.
+    """
+
+    def __init__(self, task: str):
+        env = ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE[f"{task}-goal-observable"](seed=0)
+        env.seeded_rand_vec = True
+        env._freeze_rand_vec = False
+        super().__init__(env)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[ndarray, dict]:
+        """Start an episode; with the same seed, the same episode."""
+        env: Any = self.env
+        if seed is not None:
+            env.seed(seed)
+        env.curr_path_length = 0
+        MujocoEnv.reset(env)
+        mujoco.mj_forward(env.model, env.data)
+        env._prev_obs = env._get_curr_obs_combined_no_goal()
+        return env._get_obs().astype(np.float64), {}
+
+    def step(self, action: ndarray) -> tuple[ndarray, float, bool, bool, dict]:
+        """Act for one step of 0.0125 s x 5."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return observation, float(reward), bool(terminated), bool(truncated), info
+
+
+class MetaWorldScene(Scene):
+    """A Meta-World v3 task by name, such as ``drawer-open-v3``.
+
+    Raises:
+        UnknownNameError: Meta-World has no such task.
+    """
+
+    proprio_names = ("hand_x", "hand_y", "hand_z", "gripper")
+    robot_body = "base"
+    gripper_body = "right_hand"
+
+    def __init__(self, task: str):
+        if task not in ENV_CLS_MAP:
+            raise UnknownNameError("Meta-World task", task, ENV_CLS_MAP)
+        self.name = METAWORLD + task
+        self._task = task
+        env: Any = SeededMetaWorld(task)
+        self.env = env
+        thing = _FIRST_OBJECT.get(task, "object")
+        self._second = env.unwrapped._get_pos_objects().size > 3
+        groups = ("hand", thing, *(("second_object",) if self._second else ()), "goal")
+        self.privileged_names = tuple(f"{group}_{axis}" for group in groups for axis in "xyz")
+
+    def proprio(self, observation: Float[ndarray, "O"]) -> Float[ndarray, "P"]:
+        """Return the hand's position [m] and the gripper's opening (0 closed, 1 open)."""
+        return observation[:4]
+
+    def privileged(self, observation: Float[ndarray, "O"]) -> Float[ndarray, "Q"]:
+        """Return the positions of the hand, the object or objects, and the goal [m]."""
+        env: Any = self.env.unwrapped
+        second = observation[11:14] if self._second else observation[:0]
+        return np.concatenate([observation[:3], observation[4:7], second, env._target_pos])
+
+    def scripted_policy(self) -> Policy:
+        """Return Meta-World's scripted policy of the task."""
+        policy = ENV_POLICY_MAP[self._task]()
+
+        def act(observation: ndarray) -> ndarray:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # it warns of actions beyond [-1, 1], which are clipped here
+                return np.clip(policy.get_action(observation), -1.0, 1.0)
+
+        return act
+
+    def provenance(self) -> dict[str, Any]:
+        """Return the task and the versions that decide what it looks like."""
+        return {**super().provenance(), "metaworld": version("metaworld")}

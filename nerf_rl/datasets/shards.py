@@ -1,0 +1,136 @@
+"""The dataset on disk: array layout of a shard, writing one so that it is complete or absent, and the manifest.
+
+Arrays are contiguous and uncompressed, frames first, so that a reader can fetch any frame with one read; decoding
+compressed chunks costs more than a small encoder's training step.
+"""
+
+import hashlib
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+
+import h5py
+from numpy import ndarray
+
+from nerf_rl.errors import MissingFileError
+from nerf_rl.runs import read_json
+
+SCHEMA_VERSION = 1
+MANIFEST = "manifest.json"
+SHARDS = "shards"
+TRAIN, VALIDATION = 0, 1
+SPLIT_NAMES = ("train", "validation")
+
+Layout = Mapping[str, tuple[tuple[int, ...], str]]
+"""Array name to (shape of one frame, dtype)."""
+
+
+def frame_layout(
+    views: int, size: int, moving_cameras: bool, model_sizes: Mapping[str, int], columns: Mapping[str, int]
+) -> Layout:
+    """Return the arrays of a shard that have one row a frame.
+
+    Args:
+        views, size: cameras; image height and width [pixels].
+        moving_cameras: whether extrinsics differ from frame to frame.
+        model_sizes: of the MuJoCo model: nq, nv, nbody, nmocap.
+        columns: number of named columns of ``proprio``, ``privileged`` and ``action``.
+    """
+    image = (views, size, size)
+    layout = {
+        "rgb": ((*image, 3), "u1"),
+        "depth": (image, "<f4"),
+        "semantic": (image, "u1"),
+        "episode": ((), "<i4"),
+        "step": ((), "<i4"),
+        "split": ((), "u1"),
+        "state/qpos": ((model_sizes["nq"],), "<f8"),
+        "state/qvel": ((model_sizes["nv"],), "<f8"),
+        "state/mocap_pos": ((model_sizes["nmocap"], 3), "<f8"),
+        "state/mocap_quat": ((model_sizes["nmocap"], 4), "<f8"),
+        "state/body_pos": ((model_sizes["nbody"], 3), "<f8"),
+        "state/body_quat": ((model_sizes["nbody"], 4), "<f8"),
+        **{f"state/{name}": ((count,), "<f4") for name, count in columns.items()},
+        "reward": ((), "<f4"),
+        "success": ((), "u1"),
+    }
+    if moving_cameras:
+        layout["cameras/camera_from_world"] = ((views, 4, 4), "<f8")
+        layout["cameras/projection"] = ((views, 3, 4), "<f8")
+    return layout
+
+
+class ShardWriter:
+    """Writes one shard aside and renames it when it is whole; use as a context manager.
+
+    Args:
+        path: of the finished shard.
+        frames: how many frames it has.
+        layout: its arrays with one row a frame.
+        constant: its other arrays.
+    """
+
+    def __init__(self, path: Path, frames: int, layout: Layout, constant: Mapping[str, ndarray]):
+        self._path, self._aside = path, path.with_name(f".{path.name}.{os.getpid()}.partial")
+        self._frames, self._written = frames, 0
+        self._file = h5py.File(self._aside, "w", libver=("v110", "v110"))
+        self._arrays = {}
+        for name, (shape, dtype) in layout.items():
+            self._arrays[name] = self._file.create_dataset(name, (frames, *shape), dtype, track_times=False)
+        for name, value in constant.items():
+            self._file.create_dataset(name, data=value, track_times=False)
+
+    def append(self, rows: Mapping[str, ndarray]) -> None:
+        """Write some frames; every array of the layout needs the same number of rows."""
+        count = len(rows["rgb"])
+        for name, array in self._arrays.items():
+            array[self._written : self._written + count] = rows[name]
+        self._written += count
+
+    def __enter__(self) -> "ShardWriter":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+        if error is not None or self._written != self._frames:
+            self._aside.unlink(missing_ok=True)
+        if error is not None:
+            return
+        if self._written != self._frames:
+            raise RuntimeError(f"{self._path.name}: {self._written} frames were written instead of {self._frames}")
+        descriptor = os.open(self._aside, os.O_RDONLY)
+        os.fsync(descriptor)
+        os.close(descriptor)
+        os.replace(self._aside, self._path)
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file's content in hexadecimal."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def read_manifest(folder: Path) -> dict:
+    """Return a dataset's manifest.
+
+    Raises:
+        MissingFileError: the folder holds no finished dataset, or one of a schema that this version cannot read.
+    """
+    remedy = "make one with: nerf-rl gen-dataset --config datasets/drawer-open.yaml --out FOLDER"
+    path = folder / MANIFEST
+    if not path.is_file():
+        reason = "the folder does not exist" if not folder.exists() else f"it holds no {MANIFEST}"
+        if (folder / SHARDS).is_dir():
+            reason, remedy = "it was not finished", "finish it with the same command and --resume true"
+        raise MissingFileError("a dataset", folder, reason, remedy)
+    try:
+        manifest = read_json(path)
+        version = manifest["schema_version"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise MissingFileError("a dataset", folder, f"{MANIFEST} is damaged", remedy) from error
+    if version != SCHEMA_VERSION:
+        raise MissingFileError("a dataset for this version", folder, f"its schema version is {version}", remedy)
+    return manifest

@@ -1,0 +1,18 @@
+"""Contact sheets: what every camera of a dataset sees, as colours, labels and depth."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import UInt8
+from numpy import ndarray
+
+from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.images import colour_depth, colour_labels, tile
+
+
+def contact_sheet(dataset: MultiViewDataset, frames: Sequence[int], factor: int = 2) -> UInt8[ndarray, "A B 3"]:
+    """Return a sheet with a row each for RGB, labels and depth, and a column for every camera of every frame."""
+    rgb, semantic, depth = (dataset.read(name, frames) for name in ("rgb", "semantic", "depth"))
+    near, far = float(depth.min()), float(np.quantile(depth, 0.85))
+    labels, depths = colour_labels(semantic, dataset.palette), colour_depth(depth, near, far)
+    return tile([[image for frame in rows for image in frame] for rows in (rgb, labels, depths)], factor)
