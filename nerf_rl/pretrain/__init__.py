@@ -1,0 +1,1 @@
+"""From a multi-view dataset to a frozen encoder, through a latent-conditioned radiance field."""

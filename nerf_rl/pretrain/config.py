@@ -1,0 +1,187 @@
+"""What pretraining is made of: encoder, radiance field, sampling, losses, optimisation."""
+
+from dataclasses import dataclass, field
+
+from nerf_rl.errors import UnknownNameError, UserError
+
+TEACHERS = ("depth", "normals")
+PRECISIONS = ("auto", "32", "bf16")
+
+
+@dataclass
+class EncoderConfig:
+    """The multi-view encoder z = h(mean_i g(CNN(o_i), K_i))."""
+
+    latent: int = 128
+    """size of z"""
+    patch: int = 4
+    """the first convolution reads patches of this size, without overlap [pixels]"""
+    channels: list[int] = field(default_factory=lambda: [48, 96, 128])
+    """of the convolutions; each after the first halves the image"""
+    hidden: int = 256
+    """width of g and h"""
+
+    def __post_init__(self) -> None:
+        if not self.channels or min(self.latent, self.hidden, self.patch, *self.channels) < 1:
+            raise UserError("encoder.latent, hidden, patch and channels must be positive")
+
+
+@dataclass
+class FieldConfig:
+    """The latent-conditioned radiance field: static feature planes beside a network that sees z."""
+
+    width: int = 128
+    """of the network and of the features that are composited along a ray"""
+    layers: int = 3
+    """hidden layers"""
+    frequencies: int = 6
+    """octaves of the positional encoding"""
+    moving_frames: int = 4
+    """frames with origins linear in z, in which points are encoded as well"""
+    plane_size: int = 128
+    """cells along an edge of the three static feature planes"""
+    plane_features: int = 8
+    """features in a cell"""
+
+    def __post_init__(self) -> None:
+        if min(self.width, self.layers, self.plane_size, self.plane_features) < 1 or self.frequencies < 0:
+            raise UserError(
+                "radiance_field.width, layers, plane_size and plane_features must be positive, frequencies 0 or more"
+            )
+
+
+@dataclass
+class SamplingConfig:
+    """Where rays are evaluated."""
+
+    near: float | None = None
+    """nearest planar depth [m]; from the data's depth if null"""
+    far: float | None = None
+    """depth beyond which everything is one backdrop [m]; from the data's depth if null"""
+    training_stratified: int = 2
+    """samples a training ray, evenly between near and far"""
+    training_approach: int = 5
+    """samples a training ray, on the last stretch before its known depth"""
+    approach_reach: float = 0.5
+    """length of that stretch [m]"""
+    training_surface: int = 2
+    """samples a training ray, around its known depth"""
+    surface_deviation: float = 0.02
+    """standard deviation of those [m]"""
+    rendering_stratified: int = 40
+    """samples a ray without depth, evenly"""
+    rendering_importance: int = 24
+    """samples a ray without depth, where the first ones found density"""
+
+    def __post_init__(self) -> None:
+        if self.training_stratified < 1 or self.rendering_stratified < 2:
+            raise UserError("sampling: rays need at least 1 stratified sample in training and 2 in rendering")
+        if min(self.training_approach, self.training_surface, self.rendering_importance) < 0:
+            raise UserError("sampling: numbers of samples must not be negative")
+        if self.near is not None and self.far is not None and not 0 < self.near < self.far:
+            raise UserError(f"sampling needs 0 < near < far, got near {self.near} and far {self.far}")
+
+
+@dataclass
+class LossConfig:
+    """Weights of the losses; each is logged under its name."""
+
+    rgb: float = 1.0
+    """squared error of colours in [0, 1]"""
+    semantic: float = 0.04
+    """cross-entropy of class labels"""
+    feature: float = 0.02
+    """squared error of the teachers' features"""
+    depth: float = 0.1
+    """distance of the ray's weight from the known surface [m]"""
+
+
+@dataclass
+class PretrainConfig:
+    """Keys of ``nerf-rl pretrain``."""
+
+    data: str
+    """dataset folder"""
+    out: str
+    """output folder"""
+    encoder: EncoderConfig = field(default_factory=EncoderConfig)
+    """multi-view encoder"""
+    radiance_field: FieldConfig = field(default_factory=FieldConfig)
+    """radiance field"""
+    sampling: SamplingConfig = field(default_factory=SamplingConfig)
+    """samples along rays"""
+    losses: LossConfig = field(default_factory=LossConfig)
+    """weights of the losses"""
+    teachers: list[str] = field(default_factory=lambda: list(TEACHERS))
+    """per-pixel features that the feature head learns, computed from depth: depth, normals"""
+    scenes_per_step: int = 32
+    """frames in a training step"""
+    rays_per_scene: int = 64
+    """rays drawn over all supervising cameras of a frame"""
+    class_balance: float = 0.5
+    """rays are drawn with weight (class frequency)^-balance: 0 is uniform, 1 gives every class the same share"""
+    change_boost: float = 8.0
+    """rays of fixed cameras are drawn with weight 1 + boost x (share of frames in which its class is unusual)"""
+    steps: int = 4000
+    """training steps"""
+    max_minutes: float | None = None
+    """wall-clock budget; the learning-rate schedule ends with it"""
+    learning_rate: float = 2e-3
+    """peak rate of Adam"""
+    steps_per_epoch: int = 250
+    """steps between two checkpoints"""
+    epochs_per_validation: int = 4
+    """checkpoints between two validations"""
+    validation_frames: int = 16
+    """held-out frames that are rendered whole"""
+    probe_frames: int = 4000
+    """training frames that linear probes are fitted on"""
+    precision: str = "auto"
+    """auto (bf16 where the processor computes in it), 32 or bf16"""
+    loader_workers: int = 0
+    """processes that prepare batches; 0 prepares them in the training process"""
+    threads: int | None = None
+    """CPU threads of the training process (PyTorch's own choice if null)"""
+    seed: int = 0
+    """seed of everything random"""
+    resume: bool = False
+    """continue from the last checkpoint"""
+    overwrite: bool = False
+    """replace an existing run"""
+
+    def __post_init__(self) -> None:
+        for teacher in self.teachers:
+            if teacher not in TEACHERS:
+                raise UnknownNameError("teacher", teacher, TEACHERS)
+        if self.precision not in PRECISIONS:
+            raise UnknownNameError("precision", self.precision, PRECISIONS)
+        positive = ("scenes_per_step", "rays_per_scene", "steps", "steps_per_epoch", "epochs_per_validation")
+        for name in (*positive, "validation_frames", "probe_frames"):
+            if getattr(self, name) < 1:
+                raise UserError(f"--{name} must be at least 1, got {getattr(self, name)}")
+        if self.learning_rate <= 0:
+            raise UserError(f"--learning_rate must be positive, got {self.learning_rate}")
+        if self.max_minutes is not None and self.max_minutes <= 0:
+            raise UserError(f"--max_minutes must be positive, got {self.max_minutes}")
+
+
+@dataclass
+class ProbeConfig:
+    """Keys of ``nerf-rl probe``."""
+
+    encoder: str
+    """run folder, exported encoder or Lightning checkpoint"""
+    data: str
+    """dataset folder, rendered with the encoder's camera rig"""
+    out: str | None = None
+    """output folder for summary.json; only printed if null"""
+    frames: int = 4000
+    """training frames that the probes are fitted on"""
+    seed: int = 0
+    """seed of the random encoder that stands beside"""
+    overwrite: bool = False
+    """replace an existing output folder"""
+
+    def __post_init__(self) -> None:
+        if self.frames < 2:
+            raise UserError(f"--frames must be at least 2, got {self.frames}")

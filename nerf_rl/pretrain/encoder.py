@@ -1,0 +1,125 @@
+"""The multi-view encoder and its exported artefact."""
+
+from dataclasses import asdict
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor, nn
+
+from nerf_rl.pretrain.artefact import DESCRIPTION, WEIGHTS, read_description
+from nerf_rl.pretrain.config import EncoderConfig
+from nerf_rl.pretrain.encoder_rig import EncoderRig
+from nerf_rl.runs import package_versions, write_json
+
+
+class Encoder(nn.Module):
+    """z = h(mean_i g(CNN(o_i), K_i)) over views i (SNeRL, section 4.1).
+
+    There are non-linearities after the camera matrix has joined, so that a view's pose can change how its image is
+    read.
+
+    Args:
+        config: sizes.
+        rig: the cameras that it is trained on.
+    """
+
+    latent_mean: Tensor
+    latent_std: Tensor
+
+    def __init__(self, config: EncoderConfig, rig: EncoderRig):
+        super().__init__()
+        self.config, self.rig = config, rig
+        self.scene = ""
+        self.quality = "fast"
+        patch, widths = config.patch, config.channels
+        blocks: list[nn.Module] = [nn.Conv2d(3, widths[0], patch, stride=patch), _norm(widths[0]), nn.ReLU()]
+        for before, after in pairwise(widths):
+            blocks += [nn.Conv2d(before, after, 3, stride=2, padding=1), _norm(after), nn.ReLU()]
+        self.convolutions = nn.Sequential(*blocks)
+        with torch.no_grad():
+            flat = self.convolutions(torch.zeros(1, 3, rig.height, rig.width)).numel()
+        width = config.hidden
+        self.per_view = nn.Sequential(*_hidden(flat + 12, width), *_hidden(width, width))
+        self.merged = nn.Sequential(*_hidden(width, width), nn.Linear(width, config.latent))
+        self.register_buffer("latent_mean", torch.zeros(config.latent))
+        self.register_buffer("latent_std", torch.ones(config.latent))
+
+    @property
+    def latent_size(self) -> int:
+        """Size of z."""
+        return self.config.latent
+
+    def forward(
+        self, images: UInt8[Tensor, "B V H W 3"], projections: Float[Tensor, "B V 3 4"]
+    ) -> Float[Tensor, "B Z"]:
+        """Return z of B scenes from V views each.
+
+        Args:
+            images: RGB.
+            projections: P = K [R | t] of each view [pixels, m].
+        """
+        batch, views = images.shape[:2]
+        pixels = images.flatten(0, 1).permute(0, 3, 1, 2).to(projections.dtype) / 255.0 - 0.5
+        seen = self.convolutions(pixels.contiguous(memory_format=torch.channels_last)).flatten(1)
+        size = projections.new_tensor([self.rig.width, self.rig.height, 1.0])
+        cameras = (projections / size[:, None]).reshape(batch * views, 12)  # in image widths and heights
+        each = self.per_view(torch.cat([seen, cameras.to(seen.dtype)], dim=-1))
+        return self.merged(each.reshape(batch, views, -1).mean(1)).to(projections.dtype)
+
+    def standardise(self, latent: Float[Tensor, "B Z"]) -> Float[Tensor, "B Z"]:
+        """Return latents with zero mean and unit deviation over the training data."""
+        return (latent - self.latent_mean) / self.latent_std
+
+    def save(self, folder: Path, extra: dict[str, Any]) -> None:
+        """Write ``encoder.safetensors`` and ``encoder.json``; ``extra`` joins the description."""
+        from safetensors.torch import save_file
+
+        save_file({name: tensor.contiguous() for name, tensor in self.state_dict().items()}, folder / WEIGHTS)
+        description = {
+            "format": 1,
+            "architecture": asdict(self.config),
+            "rig": self.rig.to_json(),
+            "scene": {"name": self.scene, "quality": self.quality},
+            "packages": package_versions(),
+            **extra,
+        }
+        write_json(folder / DESCRIPTION, description)
+
+    @classmethod
+    def load(cls, path: Path | str) -> "Encoder":
+        """Read a frozen encoder.
+
+        Args:
+            path: a run folder, the folder or a file of an exported encoder, or a Lightning checkpoint of a run.
+
+        Raises:
+            MissingFileError: there is no encoder at the path.
+        """
+        folder, description = read_description(path)
+        encoder = cls(EncoderConfig(**description["architecture"]), EncoderRig.from_json(description["rig"]))
+        encoder.scene, encoder.quality = description["scene"]["name"], description["scene"]["quality"]
+        encoder.load_state_dict(_weights(Path(path), folder))
+        return encoder.eval().requires_grad_(False)
+
+
+def _hidden(before: int, after: int) -> list[nn.Module]:
+    """Return a hidden layer; normalised, since units of a plain one die while the field is still far off."""
+    return [nn.Linear(before, after), nn.LayerNorm(after), nn.SiLU()]
+
+
+def _norm(channels: int) -> nn.GroupNorm:
+    return nn.GroupNorm(next(groups for groups in (8, 4, 2, 1) if channels % groups == 0), channels)
+
+
+def _weights(path: Path, folder: Path) -> dict[str, Tensor]:
+    """Return an encoder's weights from a checkpoint, if the path is one, else from the exported file."""
+    from safetensors.torch import load_file
+
+    if path.suffix != ".ckpt":
+        return load_file(folder / WEIGHTS)
+    state = torch.load(path, map_location="cpu", weights_only=True)["state_dict"]
+    prefix = "encoder."
+    return {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}

@@ -1,0 +1,137 @@
+"""The latent-conditioned radiance field."""
+
+import json
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from nerf_rl.pretrain.config import FieldConfig
+
+
+@dataclass(frozen=True)
+class FieldBounds:
+    """Where the field lives: sampled depths, and the box that is mapped to the unit cube."""
+
+    near: float
+    """nearest planar depth [m]"""
+    far: float
+    """planar depth of the backdrop [m]"""
+    centre: tuple[float, float, float]
+    """of the box [m]"""
+    half_extent: float
+    """of the box [m]"""
+
+
+class RadianceField(nn.Module):
+    """Density and features at a point of the scene that a latent describes.
+
+    Most of a scene never changes, so three static feature planes hold what is common to all scenes (table, walls). What
+    does change mostly moves as a whole, so points are also encoded relative to a few frames whose origins are linear
+    in z:
+    a drawer that slides is then one shape in a moving frame, and its position is easy to read from z. The network sees
+    all of that and z itself. Colours, class logits and teacher features are linear in the features, so they are read
+    once a ray, after compositing, which equals compositing them sample by sample.
+
+    Args:
+        config: sizes.
+        bounds: of the scene.
+        latent: size of z.
+        classes: number of semantic classes.
+        teacher_features: number of teacher features, 0 for none.
+    """
+
+    octaves: Tensor
+    centre: Tensor
+
+    def __init__(self, config: FieldConfig, bounds: FieldBounds, latent: int, classes: int, teacher_features: int):
+        super().__init__()
+        self.config, self.bounds = config, bounds
+        self.sizes = {"latent": latent, "classes": classes, "teacher_features": teacher_features}
+        self.planes = nn.Parameter(0.1 * torch.randn(3, config.plane_features, config.plane_size, config.plane_size))
+        self.frame_origins = nn.Linear(latent, 3 * config.moving_frames) if config.moving_frames else None
+        encoded = (1 + config.moving_frames) * (3 + 6 * config.frequencies) + 3 * config.plane_features
+        widths = [encoded] + [config.width] * config.layers
+        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))
+        # z enters at the first and at the last hidden layer
+        self.latent_layers = nn.ModuleDict(
+            {str(i): nn.Linear(latent, config.width, bias=False) for i in {0, config.layers - 1}}
+        )
+        self.density_head = nn.Linear(config.width, 1)
+        self.rgb_head = nn.Linear(config.width, 3)
+        self.semantic_head = nn.Linear(config.width, classes)
+        self.feature_head = nn.Linear(config.width, teacher_features) if teacher_features else None
+        self.register_buffer("octaves", torch.pi * 2.0 ** torch.arange(config.frequencies), persistent=False)
+        self.register_buffer("centre", torch.tensor(bounds.centre), persistent=False)
+
+    def forward(
+        self, points: Float[Tensor, "B N 3"], latent: Float[Tensor, "B Z"]
+    ) -> tuple[Float[Tensor, "B N"], Float[Tensor, "B N W"]]:
+        """Return density [1/m] and features at world points [m] of B scenes with N points each."""
+        normalised = (points - self.centre) / self.bounds.half_extent
+        x = contract(normalised)
+        frames = [x]
+        if self.frame_origins is not None:
+            origins = self.frame_origins(latent).reshape(len(latent), 1, -1, 3)
+            frames += (normalised[:, :, None] - origins).clamp(-2.0, 2.0).unbind(2)
+        encoded = [part for frame in frames for part in (frame, *self._positional(frame))]
+        hidden = torch.cat([*encoded, self._static(x)], dim=-1)
+        for i, layer in enumerate(self.layers):
+            hidden = layer(hidden)
+            if str(i) in self.latent_layers:
+                hidden = hidden + self.latent_layers[str(i)](latent)[:, None]
+            hidden = F.relu(hidden)
+        density = F.softplus(self.density_head(hidden)[..., 0].float()) / self.bounds.half_extent * 10.0
+        return density, hidden
+
+    def read(self, features: Float[Tensor, "*B W"]) -> dict[str, Tensor]:
+        """Return ``rgb`` [3], ``semantic`` logits [C] and, with teachers, ``feature`` [F] of composited features."""
+        values = {"rgb": self.rgb_head(features), "semantic": self.semantic_head(features)}
+        if self.feature_head is not None:
+            values["feature"] = self.feature_head(features)
+        return values
+
+    def _positional(self, x: Float[Tensor, "B N 3"]) -> tuple[Float[Tensor, "B N E"], Float[Tensor, "B N E"]]:
+        angles = (x[..., None] * self.octaves).flatten(-2)
+        return torch.sin(angles), torch.cos(angles)
+
+    def _static(self, x: Float[Tensor, "B N 3"]) -> Float[Tensor, "B N G"]:
+        pairs = torch.stack([x[..., [0, 1]], x[..., [0, 2]], x[..., [1, 2]]]).flatten(1, 2) / 2.0
+        sampled = F.grid_sample(self.planes, pairs[:, :, None], align_corners=False, padding_mode="border")
+        return sampled[..., 0].permute(2, 0, 1).reshape(*x.shape[:-1], -1)
+
+    def save(self, folder: Path) -> None:
+        """Write ``field.safetensors`` and ``field.json``."""
+        from safetensors.torch import save_file
+
+        from nerf_rl.runs import write_json
+
+        save_file(
+            {name: tensor.contiguous() for name, tensor in self.state_dict().items()}, folder / "field.safetensors"
+        )
+        write_json(folder / "field.json", {"config": asdict(self.config), "bounds": asdict(self.bounds), **self.sizes})
+
+    @classmethod
+    def load(cls, folder: Path) -> "RadianceField":
+        """Read a field that :meth:`save` wrote."""
+        from safetensors.torch import load_file
+
+        described = json.loads((folder / "field.json").read_text())
+        bounds = FieldBounds(**{**described["bounds"], "centre": tuple(described["bounds"]["centre"])})
+        sizes = {name: described[name] for name in ("latent", "classes", "teacher_features")}
+        field = cls(FieldConfig(**described["config"]), bounds, **sizes)
+        field.load_state_dict(load_file(folder / "field.safetensors"))
+        return field.eval()
+
+
+def contract(x: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3"]:
+    """Map space into a cube of half extent 2 and leave the unit cube as it is.
+
+    This is mip-NeRF 360's equation 10 with the largest coordinate as the norm.
+    """
+    norm = x.abs().amax(dim=-1, keepdim=True).clamp_min(1.0)
+    return x * (2.0 - 1.0 / norm) / norm

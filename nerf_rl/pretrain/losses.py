@@ -1,0 +1,37 @@
+"""The losses of pretraining, as one dictionary of named scalars: L = sum of weight x loss (SNeRL, equation 6)."""
+
+from dataclasses import asdict
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from nerf_rl.pretrain.config import LossConfig
+from nerf_rl.pretrain.data import RayBatch
+from nerf_rl.pretrain.rendering import RenderedRays
+
+
+def losses(rendered: RenderedRays, batch: RayBatch) -> dict[str, Tensor]:
+    """Return each loss, unweighted.
+
+    ``rgb``: mean squared error of colours. ``semantic``: cross-entropy of class labels. ``feature``: mean squared
+    error of
+    the teachers' features. ``depth``: mean distance of a ray's weight from its known surface [m],
+    ``sum_i w_i |t_i - depth|``, which bounds the error of the expected depth from above and is only zero if all weight
+    lies on the surface.
+    """
+    values = rendered.values
+    named = {
+        "rgb": F.mse_loss(values["rgb"].float(), batch.rgb),
+        "semantic": F.cross_entropy(values["semantic"].float().flatten(0, 1), batch.semantic.flatten()),
+        "depth": (rendered.weights * (rendered.depths - batch.depth[..., None]).abs()).sum(-1).mean(),
+    }
+    if "feature" in values:
+        named["feature"] = F.mse_loss(values["feature"].float(), batch.feature)
+    return named
+
+
+def weighted_sum(named: dict[str, Tensor], weights: LossConfig) -> Tensor:
+    """Return the scalar to minimise."""
+    weight = asdict(weights)
+    return torch.stack([weight[name] * value for name, value in named.items()]).sum()
