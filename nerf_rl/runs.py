@@ -14,29 +14,75 @@ from typing import Any
 import yaml
 
 from nerf_rl import __version__
-from nerf_rl.errors import OutputExistsError
+from nerf_rl.errors import OutputExistsError, UserError
 
 _RECORDED_PACKAGES = ("torch", "torchrl", "lightning", "mujoco", "metaworld", "gymnasium", "h5py", "numpy")
 PROVENANCE = "provenance.json"
+SUMMARY = "summary.json"
 
 
-def prepare_output(folder: Path, overwrite: bool, resume: bool = False, can_resume: bool = False) -> None:
-    """Create an output folder, or accept an existing one if the user asked to overwrite or resume.
+def check_output(
+    folder: Path, overwrite: bool, resume: bool = False, can_resume: bool = False, command: str = ""
+) -> None:
+    """Check, without touching it, that an output folder is free or may be resumed or overwritten.
 
-    Only a folder that a command of ours wrote (it holds ``provenance.json``) is ever removed.
+    Only a folder that a command of ours wrote (it holds ``provenance.json``) is ever overwritten.
+
+    Args:
+        folder: the output folder.
+        overwrite, resume: what the user asked for.
+        can_resume: whether the folder holds something to resume from.
+        command: the sub-command; what it left when it was cut off too early to resume may be begun anew by ``resume``.
 
     Raises:
         OutputExistsError: the folder holds something and neither applies.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())) and not (resume and can_resume):
-        ours = (folder / PROVENANCE).is_file()
-        if not overwrite:
-            resuming = "--resume true, " if can_resume and ours else ""
-            raise OutputExistsError(folder, f"use {resuming}--overwrite true or another --out")
-        if not ours:
-            raise OutputExistsError(folder, f"it holds no {PROVENANCE}, so it is not overwritten; use another --out")
+    if not _in_use(folder) or (resume and (can_resume or _cut_off_early(folder, command))):
+        return
+    ours = (folder / PROVENANCE).is_file()
+    if not overwrite:
+        resuming = "--resume true, " if can_resume and ours else ""
+        raise OutputExistsError(folder, f"use {resuming}--overwrite true or another --out")
+    if not ours:
+        raise OutputExistsError(folder, f"it holds no {PROVENANCE}, so it is not overwritten; use another --out")
+
+
+def prepare_output(
+    folder: Path, overwrite: bool, resume: bool = False, can_resume: bool = False, command: str = ""
+) -> None:
+    """Create an output folder, or empty or keep an existing one, after :func:`check_output`."""
+    check_output(folder, overwrite, resume, can_resume, command)
+    if _in_use(folder) and not (resume and can_resume):
         shutil.rmtree(folder)
     folder.mkdir(parents=True, exist_ok=True)
+
+
+def require_same_keys(folder: Path, content: dict[str, Any]) -> None:
+    """Check that a run to be resumed was begun with the same keys.
+
+    Args:
+        folder: of the run; its ``config.yaml`` is compared.
+        content: the keys that must not change.
+
+    Raises:
+        UserError: some differ; the message names them.
+    """
+    stored = yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8"))
+    other = [key for key, value in plain(content).items() if stored.get(key) != value]
+    if other:
+        raise UserError(
+            f"{folder} was begun with another --{', --'.join(other)}; resume with the same or use another --out"
+        )
+
+
+def _in_use(folder: Path) -> bool:
+    return folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
+
+
+def _cut_off_early(folder: Path, command: str) -> bool:
+    """Tell whether a run of the command was begun in the folder and left no result."""
+    begun = folder / PROVENANCE
+    return begun.is_file() and not (folder / SUMMARY).exists() and read_json(begun)["command"] == command
 
 
 def write_text(path: Path, text: str) -> None:

@@ -20,7 +20,7 @@ from nerf_rl.datasets.shard_rendering import (
 from nerf_rl.datasets.shards import MANIFEST, SCHEMA_VERSION, SHARDS, sha256_of
 from nerf_rl.errors import UserError
 from nerf_rl.progress import Progress
-from nerf_rl.runs import package_versions, plain, prepare_output, read_json, write_json, write_provenance
+from nerf_rl.runs import check_output, package_versions, plain, prepare_output, read_json, write_json, write_provenance
 
 _PLAN = "plan.json"
 
@@ -33,6 +33,7 @@ def generate_dataset(config: GenDatasetConfig) -> None:
     """
     started = time.monotonic()
     folder = Path(config.out)
+    _check(folder, config)
     studio = open_studio(config)
     require_behaviour(studio.scene, config.behaviour)
     _prepare(folder, config)
@@ -63,16 +64,21 @@ def generate_dataset(config: GenDatasetConfig) -> None:
     print(f"{folder}: {summary['frames']} frames, {summary['views']} views, {summary['views_per_second']} views/s")
 
 
-def _prepare(folder: Path, config: GenDatasetConfig) -> None:
-    """Create the output folder, or accept that of an interrupted run with the same plan."""
-    plan = plain(config.content())
-    resumable = config.resume and (folder / _PLAN).is_file()
-    if resumable and read_json(folder / _PLAN) != plan:
+def _check(folder: Path, config: GenDatasetConfig) -> None:
+    """Refuse a folder in use, unless it is that of an interrupted run with the same plan, before anything slow."""
+    begun = (folder / _PLAN).is_file()
+    check_output(folder, config.overwrite, config.resume, begun)
+    if config.resume and begun and read_json(folder / _PLAN) != plain(config.content()):
         raise UserError(f"{folder} was begun with another configuration; use the same one, or --overwrite true")
+
+
+def _prepare(folder: Path, config: GenDatasetConfig) -> None:
+    """Create the output folder, or keep that of an interrupted run."""
     prepare_output(folder, config.overwrite, config.resume, (folder / _PLAN).is_file())
-    write_json(folder / _PLAN, plan)
+    write_json(folder / _PLAN, plain(config.content()))
     write_provenance(folder, "gen-dataset", config)
     (folder / SHARDS).mkdir(exist_ok=True)
+    (folder / MANIFEST).unlink(missing_ok=True)  # of a dataset that lost a shard since
     for partial in (folder / SHARDS).glob(".*.partial"):
         partial.unlink()
 

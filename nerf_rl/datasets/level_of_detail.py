@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-_TRIANGLES_PER_PIXEL = 0.7  # of the mesh's bounding sphere; back faces and detail inside the outline included
+_TRIANGLES_PER_PIXEL = 1.0  # of the mesh's bounding sphere; back faces and detail inside the outline included
 _FEWEST_TRIANGLES = 300
 _REFERENCE_DISTANCE = 0.7  # from which the mesh is taken to be seen [m], with a vertical field of view of 45 degrees
 _AGGRESSIVENESS = 3.0  # of fast_simplification; its default of 7 is faster and leaves slivers with wrong normals

@@ -1,6 +1,8 @@
 """What pretraining is made of: encoder, radiance field, sampling, losses, optimisation."""
 
+import dataclasses
 from dataclasses import dataclass, field
+from typing import Any
 
 from nerf_rl.errors import UnknownNameError, UserError
 
@@ -163,6 +165,11 @@ class PretrainConfig:
             raise UserError(f"--learning_rate must be positive, got {self.learning_rate}")
         if self.max_minutes is not None and self.max_minutes <= 0:
             raise UserError(f"--max_minutes must be positive, got {self.max_minutes}")
+
+    def content(self) -> dict[str, Any]:
+        """Return the keys that must not change when a run is resumed."""
+        free = ("data", "out", "resume", "overwrite", "threads", "loader_workers", "steps", "max_minutes")
+        return {key: value for key, value in dataclasses.asdict(self).items() if key not in free}
 
 
 @dataclass

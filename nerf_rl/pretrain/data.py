@@ -56,8 +56,6 @@ class Statistics(NamedTuple):
 def measure(dataset: MultiViewDataset, config: PretrainConfig) -> Statistics:
     """Measure the scene's extent and the classes' frequencies on some training frames."""
     train = dataset.split("train")
-    if len(train) == 0 or len(dataset.split("validation")) == 0:
-        raise UserError(f"{dataset.folder} needs training and validation frames; generate more than one episode")
     frames = train[np.linspace(0, len(train) - 1, min(_FRAMES_FOR_STATISTICS, len(train))).astype(int)]
     views = dataset.views("encoder", "supervision")
     depth = dataset.read("depth", frames)[:, views]
@@ -185,7 +183,7 @@ class MultiViewDataModule(lightning.LightningDataModule):
     def train_dataloader(self) -> DataLoader:
         """Return the steps that are left of the current epoch; an epoch is what lies between two checkpoints.
 
-        It is found by the number of steps, since Lightning takes up the number of an epoch that ended with a checkpoint.
+        It is found by the number of steps: Lightning, when resumed, begins with the number of the epoch that ended.
         """
         first = self.trainer.global_step if self.trainer is not None else 0
         epoch = first // self._config.steps_per_epoch

@@ -12,6 +12,8 @@ from torch.nn import functional as F
 
 from nerf_rl.pretrain.config import FieldConfig
 
+_DENSITY_SCALE = 10.0  # so that the network's outputs of order one are both empty and solid, at the scene's scale
+
 
 @dataclass(frozen=True)
 class FieldBounds:
@@ -85,7 +87,7 @@ class RadianceField(nn.Module):
             if str(i) in self.latent_layers:
                 hidden = hidden + self.latent_layers[str(i)](latent)[:, None]
             hidden = F.relu(hidden)
-        density = F.softplus(self.density_head(hidden)[..., 0].float()) / self.bounds.half_extent * 10.0
+        density = _DENSITY_SCALE * F.softplus(self.density_head(hidden)[..., 0].float()) / self.bounds.half_extent
         return density, hidden
 
     def read(self, features: Float[Tensor, "*B W"]) -> dict[str, Tensor]:

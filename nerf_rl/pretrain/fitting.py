@@ -1,5 +1,8 @@
 """Training with Lightning, and the export of what came out."""
 
+import logging
+import time
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,14 +44,17 @@ def fit(config: PretrainConfig, dataset: MultiViewDataset, folder: Path, checkpo
     """
     if config.threads is not None:
         torch.set_num_threads(config.threads)
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)  # its advertisements and device lists
+    warnings.filterwarnings("ignore", module="lightning.pytorch.*")
     lightning.seed_everything(config.seed, verbose=False)
     data = MultiViewDataModule(dataset, config)
     module = SnerlModule(config, dataset, data.statistics, data.rig)
+    logs = "logs" if checkpoint is None else f"logs/resumed_{int(time.time())}"  # a logger empties its folder
     trainer = lightning.Trainer(
         default_root_dir=folder,
         max_steps=config.steps,
         precision=_precision(config.precision),
-        logger=[CSVLogger(folder, name="", version="logs"), TensorBoardLogger(folder, name="", version="logs")],
+        logger=[CSVLogger(folder, name="", version=logs), TensorBoardLogger(folder, name="", version=logs)],
         callbacks=[
             ModelCheckpoint(
                 folder / CHECKPOINT.parent,

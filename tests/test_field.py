@@ -1,0 +1,106 @@
+"""The radiance field: contraction, heads, dependence on z, storage."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from nerf_rl.pretrain.config import FieldConfig
+from nerf_rl.pretrain.field import FieldBounds, RadianceField, contract
+from nerf_rl.pretrain.volume_rendering import composite
+
+BOUNDS = FieldBounds(0.4, 2.0, (0.1, 0.6, 0.2), 0.5)
+
+
+@pytest.fixture
+def field() -> RadianceField:
+    torch.manual_seed(0)
+    config = FieldConfig(width=12, layers=3, frequencies=3, plane_size=6, plane_features=2)
+    return RadianceField(config, BOUNDS, latent=5, classes=4, teacher_features=3)
+
+
+def points_and_latents(scenes: int = 2, points: int = 7) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(1)
+    return torch.randn((scenes, points, 3), generator=generator), torch.randn((scenes, 5), generator=generator)
+
+
+def test_contraction_leaves_the_unit_cube_and_bounds_the_rest():
+    generator = torch.Generator().manual_seed(2)
+    inside = 2 * torch.rand((100, 3), generator=generator) - 1
+    torch.testing.assert_close(contract(inside), inside)
+    far = 1e6 * torch.randn((100, 3), generator=generator)
+    norms = contract(far).abs().amax(-1)
+    assert float(norms.max()) <= 2.0 and float(norms.min()) > 1.99
+
+
+def test_contraction_keeps_directions_and_order_and_is_continuous_at_the_cube():
+    direction = torch.tensor([0.5, -1.0, 0.2])
+    scales = torch.linspace(0.1, 50, 500)
+    contracted = contract(scales[:, None] * direction)
+    torch.testing.assert_close(
+        contracted / contracted.norm(dim=-1, keepdim=True), (direction / direction.norm()).expand(500, 3)
+    )
+    assert (contracted.norm(dim=-1).diff() > 0).all()
+    torch.testing.assert_close(contract(1.000001 * direction), contract(0.999999 * direction), atol=1e-5, rtol=0)
+
+
+def test_heads_after_compositing_equal_heads_before(field: RadianceField):
+    generator = torch.Generator().manual_seed(3)
+    weights = torch.rand((2, 6, 9), generator=generator)
+    weights = weights / weights.sum(-1, keepdim=True)
+    features = torch.randn((2, 6, 9, 12), generator=generator)
+    after, before = field.read(composite(weights, features)), field.read(features)
+    assert set(after) == {"rgb", "semantic", "feature"}
+    for name, values in after.items():
+        torch.testing.assert_close(values, composite(weights, before[name]), atol=1e-5, rtol=1e-5)
+    assert [after[name].shape[-1] for name in ("rgb", "semantic", "feature")] == [3, 4, 3]
+
+
+def test_a_field_without_teachers_has_no_feature_head():
+    field = RadianceField(FieldConfig(width=8, plane_size=4), BOUNDS, latent=5, classes=2, teacher_features=0)
+    assert set(field.read(torch.zeros(3, 8))) == {"rgb", "semantic"}
+
+
+def test_z_changes_density_and_features_of_its_own_scene_only(field: RadianceField):
+    points, latent = points_and_latents()
+    density, features = field(points, latent)
+    other = latent.clone()
+    other[1] += 1.0
+    density_then, features_then = field(points, other)
+    torch.testing.assert_close(density_then[0], density[0])
+    torch.testing.assert_close(features_then[0], features[0])
+    assert not torch.isclose(density_then[1], density[1]).all()
+    assert not torch.isclose(features_then[1], features[1]).all()
+
+
+def test_density_is_never_negative_and_gradients_reach_everything(field: RadianceField):
+    points, latent = points_and_latents(3, 50)
+    density, features = field(points, latent.requires_grad_())
+    assert float(density.detach().min()) >= 0
+    values = field.read(features)
+    (density.sum() + sum((value**2).sum() for value in values.values())).backward()
+    for name, parameter in field.named_parameters():
+        assert parameter.grad is not None and parameter.grad.abs().sum() > 0, name
+    assert latent.grad is not None and (latent.grad.abs().sum(-1) > 0).all()
+
+
+def test_a_points_value_does_not_depend_on_the_points_beside_it(field: RadianceField):
+    points, latent = points_and_latents(2, 8)
+    density, features = field(points, latent)
+    for i in range(8):
+        alone = field(points[:, i : i + 1], latent)
+        torch.testing.assert_close(alone[0][:, 0], density[:, i])
+        torch.testing.assert_close(alone[1][:, 0], features[:, i])
+
+
+def test_a_stored_field_is_the_same_field(field: RadianceField, tmp_path: Path):
+    field.save(tmp_path)
+    loaded = RadianceField.load(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["field.json", "field.safetensors"]
+    assert loaded.bounds == BOUNDS and loaded.config == field.config and not loaded.training
+    points, latent = points_and_latents()
+    for mine, theirs in zip(field(points, latent), loaded(points, latent), strict=True):
+        torch.testing.assert_close(mine, theirs, atol=0, rtol=0)
+    mine, theirs = field.read(torch.ones(12)), loaded.read(torch.ones(12))
+    for name, value in mine.items():
+        torch.testing.assert_close(value, theirs[name], atol=0, rtol=0)

@@ -1,0 +1,216 @@
+"""A tiny pretraining run of the real command: what it writes, how it resumes, how it refuses."""
+
+import csv
+import dataclasses
+import json
+import math
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from nerf_rl import cli
+from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.pretrain.config import PretrainConfig
+from nerf_rl.pretrain.data import measure
+from nerf_rl.pretrain.encoder import DESCRIPTION, WEIGHTS, Encoder
+from nerf_rl.pretrain.encoder_rig import EncoderRig
+from nerf_rl.pretrain.field import RadianceField
+from nerf_rl.pretrain.module import SnerlModule
+
+STEPS = 6
+
+
+def pretrain(recipe: Path, data: Path, out: Path, *arguments: str) -> int:
+    return cli.main(["pretrain", "--config", str(recipe), "--data", str(data), "--out", str(out), *arguments])
+
+
+def logged(run: Path, column: str) -> list[float]:
+    """Return the values of a column of a run's CSV log."""
+    with open(run / "logs" / "metrics.csv") as file:
+        return [float(row[column]) for row in csv.DictReader(file) if row.get(column)]
+
+
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Restore the handler of interruptions, which Lightning switches off."""
+    handler = signal.getsignal(signal.SIGINT)
+    yield
+    signal.signal(signal.SIGINT, handler)
+
+
+def test_the_summary_has_its_figures(tiny_encoder: Path):
+    summary = json.loads((tiny_encoder / "summary.json").read_text())
+    assert {"steps", "seconds", "peak_rss_mb", "validation", "probe"} <= set(summary)
+    assert summary["steps"] == STEPS and summary["seconds"] > 0 and summary["peak_rss_mb"] > 50
+    assert set(summary["validation"]) == {"psnr_db", "miou", "depth_mae_m"}
+    assert 0 <= summary["validation"]["miou"] <= 1 and 0 < summary["validation"]["psnr_db"] < 60
+    assert set(summary["probe"]["hand_x"]) == {"rmse_mm", "r2"}
+
+
+def test_the_artefact_describes_where_the_encoder_came_from(tiny_encoder: Path, tiny_dataset: Path):
+    description = json.loads((tiny_encoder / DESCRIPTION).read_text())
+    dataset = MultiViewDataset(tiny_dataset)
+    summary = json.loads((tiny_encoder / "summary.json").read_text())
+    assert description["classes"] == list(dataset.class_names)
+    assert description["dataset"]["sha256"] == dataset.digest()
+    assert description["probe"] == summary["probe"]
+    Encoder.load(tiny_encoder).rig.require_same(EncoderRig.of_dataset(dataset))
+    field = RadianceField.load(tiny_encoder)
+    assert field.sizes["classes"] == len(dataset.class_names) and field.sizes["latent"] == 8
+
+
+def test_latents_are_standardised_over_the_training_frames(tiny_encoder: Path, tiny_dataset: Path):
+    dataset, encoder = MultiViewDataset(tiny_dataset), Encoder.load(tiny_encoder)
+    frames = dataset.split("train")
+    images = torch.from_numpy(dataset.read("rgb", frames)[:, dataset.views("encoder")])
+    matrices = torch.from_numpy(encoder.rig.projections).expand(len(frames), -1, -1, -1)
+    standard = encoder.standardise(encoder(images, matrices)).numpy()
+    np.testing.assert_allclose(standard.mean(0), 0.0, atol=1e-2)
+    varying = encoder.latent_std.numpy() > 2e-4  # others are left small, not blown up
+    np.testing.assert_allclose(standard.std(0)[varying], 1.0, atol=1e-2)
+
+
+def test_every_loss_is_logged_by_name(tiny_encoder: Path):
+    with open(tiny_encoder / "logs" / "metrics.csv") as file:
+        columns = set(csv.DictReader(file).fieldnames or ())
+    assert {"validation/psnr_db", "validation/miou", "validation/depth_mae_m"} <= columns
+    assert list((tiny_encoder / "logs").glob("events.out.tfevents*"))
+    assert logged(tiny_encoder, "validation/psnr_db")
+
+
+def test_reconstructions_are_pictures_of_all_encoder_cameras(tiny_encoder: Path):
+    pictures = sorted((tiny_encoder / "reconstructions").glob("*.png"))
+    assert pictures
+    image = cv2.imread(str(pictures[-1]))
+    assert image is not None and image.shape[1] >= 2 * 24 and image.std() > 5
+
+
+def test_training_that_was_killed_resumes_to_the_same_bits(
+    tiny_encoder: Path,
+    tiny_dataset: Path,
+    tiny_pretraining_recipe: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+):
+    step = SnerlModule.training_step
+
+    def killed(self: SnerlModule, *arguments: Any) -> Any:
+        if self.global_step == 3:  # after the first checkpoint, before the second
+            raise RuntimeError("killed")
+        return step(self, *arguments)
+
+    out = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        patch.setattr(SnerlModule, "training_step", killed)
+        assert pretrain(tiny_pretraining_recipe, tiny_dataset, out) == 1
+    assert not (out / "summary.json").exists() and not (out / WEIGHTS).exists()
+    torch.manual_seed(123)
+    np.random.seed(123)
+    assert pretrain(tiny_pretraining_recipe, tiny_dataset, out, "--resume", "true") == 0
+    for name in (WEIGHTS, "field.safetensors"):
+        assert (out / name).read_bytes() == (tiny_encoder / name).read_bytes(), name
+    resumed, uninterrupted = (json.loads((run / "summary.json").read_text()) for run in (out, tiny_encoder))
+    for key in ("steps", "validation", "probe"):
+        assert resumed[key] == uninterrupted[key]
+
+
+def test_an_interruption_keeps_the_checkpoint_and_exits_with_130(
+    tiny_dataset: Path,
+    tiny_pretraining_recipe: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    interruptible: None,
+    capsys: pytest.CaptureFixture[str],
+):
+    step = SnerlModule.training_step
+
+    def interrupted(self: SnerlModule, *arguments: Any) -> Any:
+        if self.global_step == 3:
+            raise KeyboardInterrupt
+        return step(self, *arguments)
+
+    monkeypatch.setattr(SnerlModule, "training_step", interrupted)
+    assert pretrain(tiny_pretraining_recipe, tiny_dataset, tmp_path / "run") == 130
+    assert "nerf-rl pretrain: interrupted" in capsys.readouterr().err
+    assert (tmp_path / "run" / "checkpoints" / "last.ckpt").is_file()
+    assert not (tmp_path / "run" / "summary.json").exists()
+
+
+def test_a_missing_dataset_is_refused_and_nothing_is_written(
+    tiny_pretraining_recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert pretrain(tiny_pretraining_recipe, tmp_path / "nothing", tmp_path / "run") == 2
+    message = capsys.readouterr().err
+    assert "is not a dataset: the folder does not exist" in message and message.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_dataset_that_does_not_suit_is_refused_and_nothing_is_written(
+    tiny_dataset: Path,
+    tiny_pretraining_recipe: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    monkeypatch.setattr(MultiViewDataset, "split", lambda self, name: np.arange(12 if name == "train" else 0))
+    assert pretrain(tiny_pretraining_recipe, tiny_dataset, tmp_path / "run") == 2
+    assert "needs training and validation frames" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_existing_run_is_refused_and_left_alone(
+    tiny_encoder: Path, tiny_dataset: Path, tiny_pretraining_recipe: Path, capsys: pytest.CaptureFixture[str]
+):
+    before = {path: path.stat().st_mtime_ns for path in tiny_encoder.rglob("*")}
+    assert pretrain(tiny_pretraining_recipe, tiny_dataset, tiny_encoder) == 2
+    assert "already exists and is not empty; use --resume true, --overwrite true" in capsys.readouterr().err
+    assert {path: path.stat().st_mtime_ns for path in tiny_encoder.rglob("*")} == before
+
+
+def test_an_unknown_teacher_is_answered_with_the_teachers(
+    tiny_dataset: Path, tiny_pretraining_recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert pretrain(tiny_pretraining_recipe, tiny_dataset, tmp_path / "run", "--teachers", "[dino]") == 2
+    assert "unknown teacher 'dino'; available: depth, normals" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def make_module(data: Path, recipe: Path, **settings: Any) -> SnerlModule:
+    parsed: PretrainConfig = cli.parse("pretrain", ["--config", str(recipe), "--data", str(data), "--out", "unused"])
+    config, dataset = dataclasses.replace(parsed, **settings), MultiViewDataset(data)
+    return SnerlModule(config, dataset, measure(dataset, config), EncoderRig.of_dataset(dataset))
+
+
+def test_the_learning_rate_rises_and_then_falls_along_a_cosine(
+    tiny_dataset: Path, tiny_pretraining_recipe: Path, monkeypatch: pytest.MonkeyPatch
+):
+    module = make_module(tiny_dataset, tiny_pretraining_recipe, steps=1000)
+    factors = []
+    for step in range(0, 1001):
+        monkeypatch.setattr(SnerlModule, "global_step", step)
+        factors.append(module.learning_rate_factor())
+    peak = int(np.argmax(factors))
+    assert factors[peak] == pytest.approx(1.0, abs=1e-3) and 20 <= peak <= 40
+    assert (np.diff(factors[: peak + 1]) > 0).all() and (np.diff(factors[peak:]) < 0).all()
+    assert factors[-1] == pytest.approx(0.02, abs=1e-6)
+    middle = peak + (1000 - peak) // 2
+    assert factors[middle] == pytest.approx(0.02 + 0.98 * (0.5 + 0.5 * math.cos(math.pi / 2)), abs=2e-3)
+
+
+def test_a_budget_of_time_ends_the_schedule_before_the_steps_do(
+    tiny_dataset: Path, tiny_pretraining_recipe: Path, monkeypatch: pytest.MonkeyPatch
+):
+    module = make_module(tiny_dataset, tiny_pretraining_recipe, steps=1000, max_minutes=2.0)
+    monkeypatch.setattr(SnerlModule, "global_step", 250)
+    assert module.progress() == 0.25
+    module.seconds = 90.0
+    assert module.progress() == 0.75
+    module.seconds = 500.0
+    assert module.progress() == 1.0
+    assert module.learning_rate_factor() == pytest.approx(0.02)

@@ -1,0 +1,128 @@
+"""Rendering of a field that is known: a sphere in empty space, whose silhouette and depth are analytic."""
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+from nerf_rl import cameras
+from nerf_rl.pretrain import rendering
+from nerf_rl.pretrain.config import SamplingConfig
+from nerf_rl.pretrain.field import FieldBounds, RadianceField
+
+CENTRE, RADIUS = (0.1, -0.15, 0.05), 0.25  # off the optical axis, so that a flipped image would show
+SIZE = 32
+SAMPLING = SamplingConfig(training_stratified=4, training_surface=16, rendering_stratified=48, rendering_importance=32)
+
+
+class SphereField(RadianceField):
+    """Dense inside a sphere of radius z[0], almost empty elsewhere; features are the position and what is there."""
+
+    def __init__(self) -> None:
+        nn.Module.__init__(self)
+        self.bounds = FieldBounds(0.3, 2.0, CENTRE, 1.0)
+
+    def forward(self, points: Tensor, latent: Tensor) -> tuple[Tensor, Tensor]:
+        inside = (points - torch.tensor(CENTRE)).norm(dim=-1) < latent[:, :1]
+        density = torch.where(inside, 2000.0, 1e-6)
+        there = torch.stack([~inside, inside], dim=-1).to(points.dtype)
+        return density, torch.cat([points, there], dim=-1)
+
+    def read(self, features: Tensor) -> dict[str, Tensor]:
+        return {"rgb": features[..., 4:].expand(*features.shape[:-1], 3), "semantic": features[..., 3:]}
+
+
+def view() -> tuple[np.ndarray, np.ndarray]:
+    """Return the intrinsics and pose of two cameras."""
+    poses = [
+        cameras.look_at(np.zeros(3), 1.0, azimuth, elevation) for azimuth, elevation in ((30.0, -20.0), (140.0, -50.0))
+    ]
+    return np.stack([cameras.intrinsics_from_fovy(50.0, SIZE, SIZE)] * 2), np.stack(poses)
+
+
+def analytic_depth(intrinsics: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Return the planar depth of the sphere's surface [V, H, W], infinite beside it."""
+    pixels = np.broadcast_to(cameras.pixel_centres(SIZE, SIZE), (len(poses), SIZE * SIZE, 2))
+    directions = cameras.pixel_directions(intrinsics, poses, pixels)
+    offset = cameras.camera_position(poses)[:, None] - np.array(CENTRE)
+    a, b = (directions**2).sum(-1), (directions * offset).sum(-1)
+    discriminant = b**2 - a * ((offset**2).sum(-1) - RADIUS**2)
+    depth = (-b - np.sqrt(np.maximum(discriminant, 0))) / a
+    return np.where(discriminant > 0, depth, np.inf).reshape(-1, SIZE, SIZE)
+
+
+def render() -> rendering.RenderedImages:
+    intrinsics, poses = view()
+    return rendering.render_images(SphereField(), torch.tensor([RADIUS]), intrinsics, poses, SIZE, SIZE, SAMPLING)
+
+
+def test_without_known_depth_the_silhouette_and_depth_are_the_analytic_ones():
+    expected, images = analytic_depth(*view()), render()
+    truth, seen = np.isfinite(expected), images.semantic == 1
+    assert truth.sum() > 200
+    assert (truth & seen).sum() / (truth | seen).sum() > 0.97
+    both = truth & seen
+    assert np.median(np.abs(images.depth - expected)[both]) < 0.005
+    assert np.quantile(np.abs(images.depth - expected)[both], 0.95) < 0.02
+    np.testing.assert_allclose(images.rgb[~truth & ~seen], 0.0, atol=1e-3)
+    assert images.rgb[both].mean() > 0.99
+
+
+def test_beside_the_sphere_the_depth_is_the_backdrops():
+    expected, images = analytic_depth(*view()), render()
+    outside = ~np.isfinite(expected) & (images.semantic == 0)
+    assert outside.sum() > 500
+    np.testing.assert_allclose(images.depth[outside], 2.0, atol=1e-3)
+
+
+def test_images_do_not_depend_on_the_size_of_chunks(monkeypatch: pytest.MonkeyPatch):
+    whole = render()
+    monkeypatch.setattr(rendering, "_POINTS_PER_CHUNK", 5000)
+    parts = render()
+    np.testing.assert_allclose(parts.depth, whole.depth, atol=1e-6)
+    np.testing.assert_allclose(parts.rgb, whole.rgb, atol=1e-6)
+    np.testing.assert_array_equal(parts.semantic, whole.semantic)
+
+
+def rays() -> tuple[Tensor, Tensor, Tensor]:
+    """Return origins, directions and analytic depth (the backdrop's where nothing is hit) of two scenes' rays."""
+    intrinsics, poses = view()
+    pixels = np.broadcast_to(cameras.pixel_centres(SIZE, SIZE), (2, SIZE * SIZE, 2))
+    directions = cameras.pixel_directions(intrinsics, poses, pixels)
+    origins = np.broadcast_to(cameras.camera_position(poses)[:, None], directions.shape)
+    depth = np.minimum(analytic_depth(intrinsics, poses).reshape(2, -1), 2.0)
+    tensors = [torch.from_numpy(np.array(array, np.float32)) for array in (origins, directions, depth)]
+    return tensors[0], tensors[1], tensors[2]
+
+
+def test_with_known_depth_few_samples_find_the_same_surface():
+    origins, directions, depth = rays()
+    latent = torch.full((2, 1), RADIUS)
+    generator = torch.Generator().manual_seed(0)
+    rendered = rendering.render_with_depth(SphereField(), latent, origins, directions, depth, SAMPLING, generator)
+    assert rendered.depths.shape[-1] == 4 + SAMPLING.training_approach + 16 + 1
+    assert (rendered.depths.diff(dim=-1) >= 0).all() and (rendered.depths[..., -1] == 2.0).all()
+    torch.testing.assert_close(rendered.weights.sum(-1), torch.ones_like(depth))
+    assert float((rendered.depth - depth).abs().median()) < 0.01
+    hit = depth < 2.0
+    assert float((rendered.values["semantic"].argmax(-1) == hit).float().mean()) > 0.98
+
+
+def test_each_scene_is_rendered_from_its_own_latent():
+    origins, directions, _ = rays()
+    latent = torch.tensor([[RADIUS], [0.0]])
+    rendered = rendering.render_without_depth(SphereField(), latent, origins, directions, SAMPLING)
+    found = rendered.values["semantic"].argmax(-1).sum(-1)
+    assert int(found[0]) > 100 and int(found[1]) == 0
+
+
+def test_samples_that_are_drawn_depend_on_the_generator_alone():
+    origins, directions, depth = rays()
+    latent = torch.full((2, 1), RADIUS)
+    drawn = []
+    for seed in (0, 0, 1):
+        torch.rand(3)
+        generator = torch.Generator().manual_seed(seed)
+        field = SphereField()
+        drawn.append(rendering.render_with_depth(field, latent, origins, directions, depth, SAMPLING, generator).depths)
+    assert torch.equal(drawn[0], drawn[1]) and not torch.equal(drawn[0], drawn[2])

@@ -1,0 +1,118 @@
+"""Scenes: Meta-World's tasks with seeds that work and first observations that are true."""
+
+import numpy as np
+import pytest
+
+from nerf_rl.datasets.scenes import Scene, make_scene
+from nerf_rl.errors import UserError
+
+TASKS = ("drawer-open-v3", "door-open-v3", "button-press-topdown-v3", "pick-place-v3", "peg-insert-side-v3")
+
+
+def episode(scene: Scene, seed: int, steps: int = 20) -> list[np.ndarray]:
+    """Return all that an episode of fixed actions shows: observations, rewards, positions and where bodies are."""
+    rng = np.random.default_rng(0)
+    observation, _ = scene.env.reset(seed=seed)
+    shown = [observation, scene.model.body_pos.copy()]
+    for _ in range(steps):
+        observation, reward, *_ = scene.env.step(rng.uniform(-1, 1, 4).astype(np.float32))
+        shown += [observation, np.array(reward), scene.data.qpos.copy(), scene.data.qvel.copy()]
+    return shown
+
+
+def handle(scene: Scene) -> np.ndarray:
+    """Return the middle of the drawer's handle as MuJoCo has it."""
+    return scene.data.body("drawer_link").xpos + np.array([0.0, -0.16, 0.0])
+
+
+def test_a_seed_gives_the_same_episode_whatever_came_before(drawer_open: Scene):
+    episode(drawer_open, 1, steps=35)
+    np.random.seed(123)
+    after_another = episode(drawer_open, 7)
+    fresh = episode(make_scene("metaworld/drawer-open-v3"), 7)
+    for mine, theirs in zip(after_another, fresh, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+
+
+def test_seeds_put_the_drawer_at_different_places_within_its_range(drawer_open: Scene):
+    places = []
+    for seed in range(20):
+        drawer_open.env.reset(seed=seed)
+        places.append(drawer_open.data.body("drawer").xpos[0])
+    assert len(set(places)) == 20
+    assert -0.1 <= min(places) < -0.05 and 0.05 < max(places) <= 0.1
+
+
+def test_a_reset_without_a_seed_goes_on_to_another_episode(drawer_open: Scene):
+    first, _ = drawer_open.env.reset(seed=4)
+    second, _ = drawer_open.env.reset()
+    assert not np.array_equal(first, second)
+    drawer_open.env.reset(seed=4)
+    np.testing.assert_array_equal(drawer_open.env.reset()[0], second)
+
+
+def test_observations_hold_where_hand_and_handle_are_from_the_reset_on(drawer_open: Scene):
+    names = drawer_open.privileged_names
+    for seed in range(3):
+        observation, _ = drawer_open.env.reset(seed=seed)
+        for _ in range(2):  # right after the reset, and after a step
+            values = dict(zip(names, drawer_open.privileged(observation), strict=True))
+            found = [[values[f"{thing}_{axis}"] for axis in "xyz"] for thing in ("hand", "handle", "goal")]
+            hand, seen_handle, goal = map(np.array, found)
+            np.testing.assert_allclose(seen_handle, handle(drawer_open), atol=1e-9)
+            np.testing.assert_allclose(hand, drawer_open.data.body("hand").xpos, atol=1e-9)
+            np.testing.assert_allclose(goal[[0, 2]], handle(drawer_open)[[0, 2]], atol=0.02)
+            observation = drawer_open.env.step(np.zeros(4, np.float32))[0]
+
+
+def test_proprioception_is_the_hand_and_the_gripper(drawer_open: Scene):
+    observation, _ = drawer_open.env.reset(seed=0)
+    openings = []
+    for action in (-1.0, 1.0):
+        for _ in range(15):
+            observation = drawer_open.env.step(np.array([0, 0, 0, action], np.float32))[0]
+        proprio = dict(zip(drawer_open.proprio_names, drawer_open.proprio(observation), strict=True))
+        np.testing.assert_allclose(
+            [proprio[f"hand_{axis}"] for axis in "xyz"], drawer_open.data.body("hand").xpos, atol=1e-9
+        )
+        openings.append(proprio["gripper"])
+    assert 0 <= openings[1] < openings[0] <= 1  # action 1 closes
+
+
+def test_the_scripted_policy_opens_the_drawer(drawer_open: Scene):
+    observation, _ = drawer_open.env.reset(seed=2)
+    policy = drawer_open.scripted_policy()
+    assert policy is not None
+    closed, succeeded = handle(drawer_open)[1], False
+    for _ in range(150):
+        observation, _, _, _, info = drawer_open.env.step(policy(observation).astype(np.float32))
+        succeeded |= bool(info["success"])
+    assert succeeded
+    assert handle(drawer_open)[1] < closed - 0.1
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_every_task_has_named_columns_and_a_scripted_policy(task: str):
+    scene = make_scene(f"metaworld/{task}")
+    observation, _ = scene.env.reset(seed=0)
+    assert scene.proprio(observation).shape == (len(scene.proprio_names),)
+    assert scene.privileged(observation).shape == (len(scene.privileged_names),)
+    assert np.isfinite(scene.privileged(observation)).all()
+    names = [scene.model.body(body).name for body in range(scene.model.nbody)]
+    assert scene.robot_body in names and scene.gripper_body in names
+    policy = scene.scripted_policy()
+    assert policy is not None
+    action = policy(observation)
+    assert action.shape == (4,) and np.abs(action).max() <= 1
+    assert scene.provenance()["name"] == f"metaworld/{task}"
+    scene.env.close()
+
+
+def test_an_unknown_task_is_answered_with_close_ones():
+    with pytest.raises(UserError, match=r"unknown Meta-World task 'drawer-opne-v3' \(did you mean drawer-open-v3"):
+        make_scene("metaworld/drawer-opne-v3")
+
+
+def test_an_unknown_kind_of_scene_is_answered_with_what_there_is():
+    with pytest.raises(UserError, match="unknown scene 'atari/Pong'; available: metaworld/TASK"):
+        make_scene("atari/Pong")

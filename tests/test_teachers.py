@@ -1,0 +1,99 @@
+"""Feature teachers on surfaces whose normals are known."""
+
+import numpy as np
+import pytest
+
+from nerf_rl import cameras
+from nerf_rl.pretrain.teachers import WIDTHS, surface_normals, teacher_features
+
+SIZE, FAR = 40, 5.0
+
+
+def some_cameras(count: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(0)
+    poses = [
+        cameras.look_at(rng.uniform(-0.1, 0.1, 3), 1.0, rng.uniform(-180, 180), rng.uniform(-80, -50))
+        for _ in range(count)
+    ]
+    return np.stack([cameras.intrinsics_from_fovy(40.0, SIZE, SIZE)] * count), np.stack(poses)
+
+
+def rays(intrinsics: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return origins [V, 1, 3] and directions of unit planar depth [V, H * W, 3]."""
+    pixels = np.broadcast_to(cameras.pixel_centres(SIZE, SIZE), (len(poses), SIZE * SIZE, 2))
+    return cameras.camera_position(poses)[:, None], cameras.pixel_directions(intrinsics, poses, pixels)
+
+
+def plane_depth(intrinsics: np.ndarray, poses: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Return depth images of the plane through the origin."""
+    origins, directions = rays(intrinsics, poses)
+    return (-(origins @ normal) / (directions @ normal)).reshape(-1, SIZE, SIZE)
+
+
+def every_pixel(images: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    image, row, column = np.mgrid[:images, :SIZE, :SIZE]
+    return image.ravel(), row.ravel(), column.ravel()
+
+
+def test_normals_of_a_plane_are_the_planes_and_point_to_the_camera():
+    intrinsics, poses = some_cameras(5)
+    for normal in (np.array([0.0, 0.0, 1.0]), np.array([0.2, -0.1, 0.97]) / np.linalg.norm([0.2, -0.1, 0.97])):
+        depth = plane_depth(intrinsics, poses, normal)
+        assert depth.min() > 0 and depth.max() < FAR
+        found = surface_normals(depth, intrinsics, poses, *every_pixel(5), FAR)
+        np.testing.assert_allclose(found, np.broadcast_to(normal, found.shape), atol=1e-6)
+
+
+def test_normals_of_a_sphere_are_its_radii():
+    intrinsics, poses = some_cameras(3)
+    origins, directions = rays(intrinsics, poses)
+    a, b = (directions**2).sum(-1), (directions * origins).sum(-1)
+    discriminant = b**2 - a * ((origins**2).sum(-1) - 0.25**2)
+    hit = discriminant > 0
+    depth = np.where(hit, (-b - np.sqrt(np.maximum(discriminant, 0))) / a, 2 * FAR)
+    image, row, column = every_pixel(3)
+    found = surface_normals(depth.reshape(3, SIZE, SIZE), intrinsics, poses, image, row, column, FAR).reshape(3, -1, 3)
+    radii = (origins + depth[..., None] * directions) / 0.25
+    facing = hit & ((radii * -directions).sum(-1) > 0.5 * np.linalg.norm(directions, axis=-1))  # not at the rim
+    assert facing.sum() > 300
+    angles = np.rad2deg(np.arccos(np.clip((found * radii).sum(-1)[facing], -1, 1)))
+    assert angles.max() < 10 and angles.mean() < 4
+    np.testing.assert_array_equal(found[~hit], 0.0)
+    np.testing.assert_allclose(np.linalg.norm(found[hit], axis=-1), 1.0)
+
+
+def test_normals_beside_an_outline_belong_to_their_own_surface():
+    pose = cameras.look_at(np.zeros(3), 1.0, 90.0, -89.9)  # looks straight down
+    intrinsics = cameras.intrinsics_from_fovy(40.0, SIZE, SIZE)
+    depth = np.full((1, SIZE, SIZE), 1.0)
+    depth[:, 10:20, 15:30] = 0.6  # the flat top of a box
+    found = surface_normals(depth, intrinsics[None], pose[None], *every_pixel(1), FAR)
+    np.testing.assert_allclose(found, np.broadcast_to(-pose[2, :3], found.shape), atol=1e-6)
+
+
+def test_features_are_the_teachers_in_their_order():
+    intrinsics, poses = some_cameras(2)
+    depth = plane_depth(intrinsics, poses, np.array([0.0, 0.0, 1.0]))
+    depth[1, 3, 4] = 30.0
+    image, row, column = np.array([0, 1, 1]), np.array([7, 3, 20]), np.array([9, 4, 30])
+    features = {
+        name: teacher_features(names, depth, intrinsics, poses, image, row, column, FAR)
+        for name, names in {
+            "d": ["depth"],
+            "n": ["normals"],
+            "dn": ["depth", "normals"],
+            "nd": ["normals", "depth"],
+        }.items()
+    }
+    np.testing.assert_allclose(features["d"][:, 0], [depth[0, 7, 9] / FAR, 1.0, depth[1, 20, 30] / FAR], rtol=1e-6)
+    np.testing.assert_array_equal(features["n"][1], 0.0)
+    np.testing.assert_array_equal(features["dn"], np.concatenate([features["d"], features["n"]], axis=1))
+    np.testing.assert_array_equal(features["nd"], np.concatenate([features["n"], features["d"]], axis=1))
+
+
+@pytest.mark.parametrize("name", WIDTHS)
+def test_a_teacher_is_as_wide_as_it_says(name: str):
+    intrinsics, poses = some_cameras(1)
+    depth = plane_depth(intrinsics, poses, np.array([0.0, 0.0, 1.0]))
+    zero = np.zeros(2, int)
+    assert teacher_features([name], depth, intrinsics, poses, zero, zero, zero, FAR).shape == (2, WIDTHS[name])
