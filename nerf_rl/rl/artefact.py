@@ -1,0 +1,57 @@
+"""Encoders and policies as files: found, identified and checked without loading torch."""
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+from nerf_rl.errors import MissingFileError, UserError
+from nerf_rl.pretrain.artefact import read_description
+from nerf_rl.runs import read_json
+
+_WEIGHTS = "encoder.safetensors"
+POLICY_WEIGHTS, POLICY_DESCRIPTION = "policy.safetensors", "policy.json"
+
+
+def check_encoder_scene(encoder: str | Path, scene: str) -> None:
+    """Raise UserError if there is no encoder at the path or it was trained on another scene."""
+    compare_scenes(read_description(encoder)[1]["scene"]["name"], scene)
+
+
+def compare_scenes(trained: str, wanted: str) -> None:
+    """Raise UserError if the encoder's scene is not the one to act in."""
+    if trained != wanted:
+        raise UserError(
+            f"the encoder was trained on scene {trained}, not {wanted}; use --scene {trained} or its encoder"
+        )
+
+
+def encoder_digest(encoder: str | Path) -> str:
+    """Return the sha256 of the file that holds an encoder's weights."""
+    folder, _ = read_description(encoder)
+    weights = Path(encoder) if Path(encoder).suffix == ".ckpt" else folder / _WEIGHTS
+    with open(weights, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def check_policy(run: Path, encoder: str = "") -> dict[str, Any]:
+    """Return the description of a run's policy.
+
+    Args:
+        run: a run folder of train-rl.
+        encoder: where its encoder is now, if it has moved.
+
+    Raises:
+        MissingFileError: no policy there, or no encoder where it is said to be.
+        UserError: the encoder there is not the one that the policy was trained with.
+    """
+    for name in (POLICY_DESCRIPTION, POLICY_WEIGHTS):
+        if not (run / name).is_file():
+            remedy = "train one with nerf-rl train-rl"
+            raise MissingFileError("a train-rl run with a policy", run, f"it holds no {name}", remedy)
+    description = read_json(run / POLICY_DESCRIPTION)
+    env = description["env"]
+    if env["encoder"] is not None:
+        env["encoder"] = encoder or env["encoder"]
+        if encoder_digest(env["encoder"]) != description["encoder_digest"]:
+            raise UserError(f"{env['encoder']} is not the encoder that the policy in {run} was trained with")
+    return description

@@ -1,0 +1,86 @@
+"""Checkpoints of a training run: one folder per checkpoint, complete or absent, without pickle.
+
+``checkpoints/00010000/`` holds ``state.safetensors`` (networks, targets, optimisers, replay memory, random states) and
+``state.json`` (counters and results so far). It is written aside and renamed; older ones are removed after that.
+"""
+
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from nerf_rl.rl.ddpg import DDPG
+from nerf_rl.runs import read_json, write_json
+
+_MODULES = ("norm", "actor", "critic", "target_actor", "target_critic")
+_TENSORS, _FACTS = "state.safetensors", "state.json"
+
+
+def write_tensors(path: Path, tensors: Mapping[str, Tensor]) -> None:
+    """Write tensors whole or not at all: aside, flushed to disk, renamed."""
+    aside = path.with_name(f".{path.name}.partial")
+    save_file({name: tensor.detach().contiguous() for name, tensor in tensors.items()}, aside)
+    with open(aside, "rb") as file:
+        os.fsync(file.fileno())
+    os.replace(aside, path)
+
+
+def last_checkpoint(run: Path) -> Path | None:
+    """Return the newest complete checkpoint of a run, if it has one."""
+    folders = sorted(run.glob("checkpoints/[0-9]*"))
+    return folders[-1] if folders else None
+
+
+def save_checkpoint(run: Path, env_steps: int, tensors: Mapping[str, Tensor], facts: dict[str, Any]) -> None:
+    """Write a checkpoint and remove the older ones."""
+    parent = run / "checkpoints"
+    parent.mkdir(exist_ok=True)
+    aside, final = parent / "partial", parent / f"{env_steps:08d}"
+    shutil.rmtree(aside, ignore_errors=True)
+    aside.mkdir()
+    write_tensors(aside / _TENSORS, tensors)
+    write_json(aside / _FACTS, facts)
+    shutil.rmtree(final, ignore_errors=True)
+    os.replace(aside, final)
+    for older in parent.glob("[0-9]*"):
+        if older != final:
+            shutil.rmtree(older)
+
+
+def load_checkpoint(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Read a checkpoint: its tensors and its facts."""
+    return load_file(folder / _TENSORS), read_json(folder / _FACTS)
+
+
+def agent_tensors(agent: DDPG) -> dict[str, Tensor]:
+    """Return an agent's networks, targets and optimiser moments by flat names."""
+    tensors: dict[str, Tensor] = {}
+    for part in _MODULES:
+        tensors |= {f"{part}.{name}": tensor for name, tensor in getattr(agent, part).state_dict().items()}
+    for part in ("actor_optimiser", "critic_optimiser"):
+        for index, moments in getattr(agent, part).state_dict()["state"].items():
+            tensors |= {f"{part}.{index}.{name}": torch.as_tensor(value) for name, value in moments.items()}
+    return tensors
+
+
+def load_agent_tensors(agent: DDPG, tensors: Mapping[str, Tensor]) -> None:
+    """Put back what :func:`agent_tensors` returned."""
+    for part in _MODULES:
+        getattr(agent, part).load_state_dict(below(tensors, part))
+    for part in ("actor_optimiser", "critic_optimiser"):
+        optimiser = getattr(agent, part)
+        state: dict[int, dict[str, Tensor]] = {}
+        for key, value in below(tensors, part).items():
+            index, name = key.split(".", 1)
+            state.setdefault(int(index), {})[name] = value
+        optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
+
+
+def below(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """Return the tensors whose names start with ``prefix.``, without it."""
+    return {name.removeprefix(f"{prefix}."): t for name, t in tensors.items() if name.startswith(f"{prefix}.")}

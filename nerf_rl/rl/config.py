@@ -1,0 +1,232 @@
+"""What a training run and an evaluation are made of; importing this module loads nothing heavy."""
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any
+
+from nerf_rl.errors import UnknownNameError, UserError
+
+NO_ENCODER = "none"
+
+
+@dataclass
+class NetworkConfig:
+    """Actor and critic."""
+
+    hidden: list[int] = field(default_factory=lambda: [256, 400])
+    """widths of the two hidden layers; the action joins the critic after the first"""
+    normalisation: str = "layer"
+    """layer, batch or none, after each hidden linear layer"""
+    standardise: bool = True
+    """standardise observations by the running mean and deviation of those seen in training"""
+
+    def __post_init__(self) -> None:
+        if len(self.hidden) != 2 or min(self.hidden) < 1:
+            raise UserError(f"--network.hidden needs two positive widths, got {self.hidden}")
+        _one_of("normalisation", self.normalisation, ("layer", "batch", "none"))
+
+
+@dataclass
+class NoiseConfig:
+    """Exploration noise on actions in [-1, 1]; its standard deviation falls linearly."""
+
+    kind: str = "pink"
+    """gaussian (independent in time), ou (Ornstein-Uhlenbeck) or pink (correlated at all time scales)"""
+    start: float = 1.0
+    """standard deviation at the first step"""
+    end: float = 0.1
+    """standard deviation after decay_steps"""
+    decay_steps: int = 20_000
+    """environment steps from start to end"""
+    theta: float = 0.15
+    """ou only: share of the noise that is forgotten in each step"""
+    hold_share: float = 0.1
+    """share of the first agent steps that repeat a random action instead; it falls with the noise, 0 switches it off"""
+    hold_start: float = 1.0
+    """probability that one of the first episodes begins with such an action; it falls with the noise"""
+    hold_steps: int = 8
+    """mean number of agent steps for which such an action is repeated"""
+
+    def __post_init__(self) -> None:
+        _one_of("noise kind", self.kind, ("gaussian", "ou", "pink"))
+        if self.start < 0 or self.end < 0:
+            raise UserError("--noise.start and --noise.end must not be negative")
+        if self.decay_steps < 1:
+            raise UserError(f"--noise.decay_steps must be at least 1, got {self.decay_steps}")
+        if not 0 < self.theta <= 1:
+            raise UserError(f"--noise.theta must be in (0, 1], got {self.theta}")
+        if not 0 <= self.hold_share < 1 or not 0 <= self.hold_start <= 1 or self.hold_steps < 1:
+            raise UserError("noise needs hold_share in [0, 1), hold_start in [0, 1] and hold_steps of at least 1")
+
+
+@dataclass
+class ReplayConfig:
+    """Replay memory on disk."""
+
+    capacity: int = 200_000
+    """transitions kept; the oldest are replaced"""
+    prioritised: bool = True
+    """draw transitions in proportion to (|temporal-difference error| + epsilon)^alpha instead of uniformly"""
+    alpha: float = 0.6
+    """exponent of the priorities; 0 is uniform"""
+    beta: float = 0.4
+    """exponent of the importance weights at the start; it grows linearly to 1 at the last step"""
+    epsilon: float = 0.01
+    """added to each absolute error, so that no transition is forgotten"""
+
+    def __post_init__(self) -> None:
+        if self.capacity < 1:
+            raise UserError(f"--replay.capacity must be at least 1, got {self.capacity}")
+        if self.alpha < 0 or not 0 <= self.beta <= 1 or self.epsilon <= 0:
+            raise UserError("replay needs alpha >= 0, beta in [0, 1] and epsilon > 0")
+
+
+@dataclass
+class LearnerConfig:
+    """Deep deterministic policy gradient."""
+
+    gamma: float = 0.97
+    """discount of one agent step"""
+    n_step: int = 3
+    """agent steps whose rewards are summed before bootstrapping"""
+    tau: float = 0.01
+    """share of the network that enters its target in each update"""
+    actor_rate: float = 3e-4
+    """learning rate of the actor"""
+    critic_rate: float = 1e-3
+    """learning rate of the critic"""
+    batch_size: int = 128
+    """transitions in an update"""
+    max_grad_norm: float = 10.0
+    """gradients longer than this are shortened"""
+    pre_tanh_penalty: float = 0.02
+    """weight of the mean squared pre-tanh activation in the actor's loss: keeps actions off the flat ends of tanh"""
+    actor_every: int = 1
+    """critic updates for each update of the actor"""
+    actor_batch: str = "uniform"
+    """uniform: the actor learns from a batch of its own; prioritised: from the critic's batch"""
+    reward_scale: float = 0.1
+    """factor on rewards inside the learner; reported returns are unscaled"""
+    updates_per_step: float = 1.0
+    """gradient updates per agent step"""
+
+    def __post_init__(self) -> None:
+        _one_of("actor batch", self.actor_batch, ("uniform", "prioritised"))
+        if not 0 <= self.gamma <= 1:
+            raise UserError(f"--learner.gamma must be in [0, 1], got {self.gamma}")
+        if not 0 < self.tau <= 1:
+            raise UserError(f"--learner.tau must be in (0, 1], got {self.tau}")
+        for name in ("n_step", "batch_size", "actor_every"):
+            if getattr(self, name) < 1:
+                raise UserError(f"--learner.{name} must be at least 1, got {getattr(self, name)}")
+        for name in ("actor_rate", "critic_rate", "max_grad_norm", "reward_scale", "updates_per_step"):
+            if getattr(self, name) <= 0:
+                raise UserError(f"--learner.{name} must be positive, got {getattr(self, name)}")
+        if self.pre_tanh_penalty < 0:
+            raise UserError(f"--learner.pre_tanh_penalty must not be negative, got {self.pre_tanh_penalty}")
+
+
+@dataclass
+class TrainRLConfig:
+    """Keys of ``nerf-rl train-rl``."""
+
+    out: str
+    """run folder"""
+    encoder: str = NO_ENCODER
+    """run folder of pretrain, exported encoder or Lightning .ckpt; none observes the true state"""
+    scene: str = "metaworld/drawer-open-v3"
+    """metaworld/TASK; with an encoder it must be the encoder's scene"""
+    env_steps: int = 50_000
+    """environment steps of training, over all environments and with action repeats counted"""
+    action_repeat: int = 2
+    """environment steps for which an action is held"""
+    episode_steps: int = 100
+    """environment steps after which an episode is truncated"""
+    envs: int = 2
+    """environments, each in a process of its own"""
+    warmup_steps: int = 2_000
+    """environment steps of random actions before learning starts"""
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    """actor and critic"""
+    learner: LearnerConfig = field(default_factory=LearnerConfig)
+    """the algorithm"""
+    noise: NoiseConfig = field(default_factory=NoiseConfig)
+    """exploration"""
+    replay: ReplayConfig = field(default_factory=ReplayConfig)
+    """memory"""
+    evaluation_every: int = 5_000
+    """environment steps between evaluations"""
+    evaluation_episodes: int = 10
+    """episodes of each evaluation but the last"""
+    final_evaluation_episodes: int = 20
+    """episodes of the last evaluation"""
+    checkpoint_every: int = 10_000
+    """environment steps between checkpoints"""
+    seed: int = 0
+    """seed of everything random"""
+    threads: int = 1
+    """threads of the learner; the environments have one each"""
+    resume: bool = False
+    """go on from the last checkpoint of an interrupted run"""
+    overwrite: bool = False
+    """replace an existing run"""
+
+    def __post_init__(self) -> None:
+        counts = "env_steps action_repeat episode_steps envs evaluation_every evaluation_episodes"
+        for name in f"{counts} final_evaluation_episodes checkpoint_every threads".split():
+            if getattr(self, name) < 1:
+                raise UserError(f"--{name} must be at least 1, got {getattr(self, name)}")
+        if self.warmup_steps < 0 or self.seed < 0:
+            raise UserError("--warmup_steps and --seed must not be negative")
+        if self.warmup_steps >= self.env_steps:
+            raise UserError(
+                f"--warmup_steps {self.warmup_steps} leaves nothing of --env_steps {self.env_steps} to learn in"
+            )
+        if self.episode_steps < self.action_repeat:
+            raise UserError(f"--episode_steps {self.episode_steps} is less than --action_repeat {self.action_repeat}")
+
+    def content(self) -> dict[str, Any]:
+        """Return the keys that must not change when a run is resumed."""
+        free = "out resume overwrite env_steps threads checkpoint_every evaluation_every evaluation_episodes"
+        free += " final_evaluation_episodes"
+        return {key: value for key, value in dataclasses.asdict(self).items() if key not in free.split()}
+
+
+@dataclass
+class EvaluateConfig:
+    """Keys of ``nerf-rl evaluate``."""
+
+    run: str
+    """run folder of train-rl"""
+    out: str
+    """output folder"""
+    encoder: str = ""
+    """where the encoder is now, if it has moved since training"""
+    episodes: int = 20
+    """episodes to count"""
+    envs: int = 2
+    """environments, each in a process of its own"""
+    seed: int = 1
+    """seed of the episodes; training's own evaluations use 0"""
+    video: bool = False
+    """also write an mp4 of a few episodes"""
+    video_episodes: int = 3
+    """episodes in the video"""
+    video_size: int = 256
+    """height of the video [pixels]"""
+    overwrite: bool = False
+    """replace an existing output folder"""
+
+    def __post_init__(self) -> None:
+        for name in ("episodes", "envs", "video_episodes"):
+            if getattr(self, name) < 1:
+                raise UserError(f"--{name} must be at least 1, got {getattr(self, name)}")
+        if self.seed < 0:
+            raise UserError(f"--seed must not be negative, got {self.seed}")
+        if self.video_size < 32 or self.video_size % 16:
+            raise UserError(f"--video_size must be a multiple of 16 and at least 32, got {self.video_size}")
+
+
+def _one_of(kind: str, name: str, available: tuple[str, ...]) -> None:
+    if name not in available:
+        raise UnknownNameError(kind, name, available)

@@ -1,0 +1,70 @@
+"""Actor and critic: two hidden layers of 256 and 400 units, the action joining the critic after the first."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from nerf_rl.rl.config import NetworkConfig
+
+
+def _normalisation(kind: str, width: int) -> nn.Module:
+    layers = {"layer": nn.LayerNorm, "batch": nn.BatchNorm1d}
+    return layers[kind](width) if kind in layers else nn.Identity()
+
+
+def _initialise(module: nn.Module, last: nn.Linear) -> None:
+    """Xavier weights and zero biases (Glorot and Bengio 2010); the last layer 100 times smaller.
+
+    A small last layer starts the actor at the centre of tanh and the critic at zero.
+    """
+    for layer in module.modules():
+        if isinstance(layer, nn.Linear):
+            nn.init.xavier_uniform_(layer.weight, gain=0.01 if layer is last else 1.0)
+            nn.init.zeros_(layer.bias)
+
+
+class Actor(nn.Module):
+    """Deterministic policy: observation [B, O] to action [B, A] in (-1, 1)."""
+
+    def __init__(self, observation_size: int, action_size: int, config: NetworkConfig):
+        super().__init__()
+        first, second = config.hidden
+        self.trunk = nn.Sequential(
+            nn.Linear(observation_size, first),
+            _normalisation(config.normalisation, first),
+            nn.ReLU(),
+            nn.Linear(first, second),
+            _normalisation(config.normalisation, second),
+            nn.ReLU(),
+        )
+        self.head = nn.Linear(second, action_size)
+        _initialise(self, self.head)
+
+    def pre_tanh(self, observation: Float[Tensor, "B O"]) -> Float[Tensor, "B A"]:
+        """Return the activation before the tanh that bounds the action."""
+        return self.head(self.trunk(observation))
+
+    def forward(self, observation: Float[Tensor, "B O"]) -> Float[Tensor, "B A"]:
+        """Return the action."""
+        return torch.tanh(self.pre_tanh(observation))
+
+
+class Critic(nn.Module):
+    """Action value: observation [B, O] and action [B, A] to the expected discounted return [B]."""
+
+    def __init__(self, observation_size: int, action_size: int, config: NetworkConfig):
+        super().__init__()
+        first, second = config.hidden
+        self.observe = nn.Sequential(
+            nn.Linear(observation_size, first), _normalisation(config.normalisation, first), nn.ReLU()
+        )
+        self.join = nn.Sequential(
+            nn.Linear(first + action_size, second), _normalisation(config.normalisation, second), nn.ReLU()
+        )
+        self.head = nn.Linear(second, 1)
+        _initialise(self, self.head)
+
+    def forward(self, observation: Float[Tensor, "B O"], action: Float[Tensor, "B A"]) -> Float[Tensor, "B"]:
+        """Return the value, without a trailing dimension, so that it meets weights [B] element by element."""
+        hidden = self.join(torch.cat([self.observe(observation), action], dim=-1))
+        return self.head(hidden).squeeze(-1)

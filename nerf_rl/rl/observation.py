@@ -1,0 +1,78 @@
+"""A frozen encoder's latent as a Gymnasium observation."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium.spaces import Box
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+
+from nerf_rl.datasets.renderer import MultiViewRenderer
+from nerf_rl.pretrain.encoder import Encoder
+
+
+class LatentObservation(gymnasium.ObservationWrapper):
+    """Replaces an environment's observation by [standardised latent, proprioception], float32.
+
+    The cameras, their resolution and the rendering quality are those of the encoder's artefact: nothing else is needed.
+
+        encoder = Encoder.load("runs/encoder")
+        env = LatentObservation(env, encoder, proprio=lambda observation: observation[:4])
+
+    Args:
+        env: any environment whose ``unwrapped`` has MuJoCo's ``model`` and ``data``.
+        encoder: a loaded encoder, or where to load it from.
+        proprio: from the environment's observation to what the robot knows of itself [P]; None for the latent alone.
+
+    Attributes:
+        last_images: what the cameras saw at the last observation [V, H, W, 3], uint8.
+        last_latent: its latent [Z], as the encoder gives it (not standardised).
+    """
+
+    last_images: UInt8[ndarray, "V H W 3"]
+    last_latent: Float[ndarray, "Z"]
+
+    def __init__(
+        self, env: gymnasium.Env, encoder: Encoder | str | Path, proprio: Callable[[Any], ndarray] | None = None
+    ):
+        super().__init__(env)
+        self.encoder = Encoder.load(Path(encoder)) if isinstance(encoder, (str, Path)) else encoder
+        self._proprio = proprio
+        self._renderer: MultiViewRenderer | None = None
+        self._projections = torch.as_tensor(self.encoder.rig.projections, dtype=torch.float32)[None]
+        box = env.observation_space
+        example = np.zeros(box.shape or (), box.dtype)
+        size = self.encoder.latent_size + (0 if proprio is None else len(proprio(example)))
+        self.observation_space = Box(-np.inf, np.inf, (size,), np.float32)
+
+    def observation(self, observation: Any) -> Float[ndarray, "O"]:
+        """Look at the scene as it is now and return [latent, proprioception]."""
+        self.last_images = self._render()
+        with torch.inference_mode():
+            latent = self.encoder(torch.from_numpy(self.last_images)[None], self._projections)
+            standardised = self.encoder.standardise(latent)[0]
+        self.last_latent = latent[0].float().numpy()
+        parts = [standardised.float().numpy()]
+        if self._proprio is not None:
+            parts.append(self._proprio(observation))
+        return np.concatenate(parts).astype(np.float32)
+
+    def close(self) -> None:
+        """Release the renderer and the environment."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+        super().close()
+
+    def _render(self) -> UInt8[ndarray, "V H W 3"]:
+        simulation: Any = self.env.unwrapped
+        rig = self.encoder.rig
+        if self._renderer is None:  # created late, in the process that renders
+            self._renderer = MultiViewRenderer(
+                simulation.model, rig.height, rig.width, len(rig.names), quality=self.encoder.quality
+            )
+        return self._renderer.render_rgb(simulation.data, rig.intrinsics, rig.camera_from_world)

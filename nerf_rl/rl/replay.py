@@ -1,0 +1,165 @@
+"""Replay memory on disk, prioritised (Schaul et al. 2016), on TorchRL's storage and segment trees."""
+
+import logging
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+from torchrl.data import LazyMemmapStorage, ReplayBuffer
+from torchrl.data.replay_buffers.samplers import PrioritizedSampler, RandomSampler
+
+from nerf_rl.errors import UserError
+from nerf_rl.rl.config import ReplayConfig
+from nerf_rl.rl.n_step import Transition
+
+logging.getLogger("torchrl").setLevel(logging.WARNING)
+
+
+class Batch(NamedTuple):
+    """Transitions drawn from memory."""
+
+    place: Int[Tensor, "B"]
+    """their rows in memory"""
+    weight: Float[Tensor, "B"]
+    """importance weights in (0, 1]"""
+    observation: Float[Tensor, "B O"]
+    action: Float[Tensor, "B A"]
+    reward: Float[Tensor, "B"]
+    discount: Float[Tensor, "B"]
+    next_observation: Float[Tensor, "B O"]
+
+
+class Replay:
+    """Memory of n-step transitions.
+
+    A transition is one row [observation, action, reward, discount, next observation] of a memory-mapped float32 file,
+    so that a batch is gathered in one pass and memory use does not grow with the capacity.
+
+    Args:
+        config: capacity and prioritisation.
+        observation_size, action_size: O and A.
+        batch_size: transitions in a batch.
+        folder: holds the file until :meth:`close`.
+        seed: of the drawing.
+
+    Raises:
+        UserError: the disk has no room for the capacity (the file is sparse, so it would fail much later).
+    """
+
+    def __init__(
+        self,
+        config: ReplayConfig,
+        observation_size: int,
+        action_size: int,
+        batch_size: int,
+        folder: Path,
+        seed: int = 0,
+    ):
+        self.prioritised = config.prioritised
+        self._batch_size = batch_size
+        self._split = [observation_size, action_size, 1, 1, observation_size]
+        check_free_space(folder.parent, 4 * sum(self._split) * config.capacity)
+        self._folder = folder
+        shutil.rmtree(folder, ignore_errors=True)  # what a killed run left behind
+        folder.mkdir(parents=True)
+        self._storage = LazyMemmapStorage(config.capacity, scratch_dir=folder)
+        self._sampler = (
+            PrioritizedSampler(config.capacity, alpha=config.alpha, beta=config.beta, eps=config.epsilon)
+            if config.prioritised
+            else RandomSampler()
+        )
+        self.generator = torch.Generator().manual_seed(seed)
+        self._buffer = ReplayBuffer(storage=self._storage, sampler=self._sampler, batch_size=batch_size)
+        self._buffer.set_rng(self.generator)
+        self._rows: Tensor | None = None
+
+    def __len__(self) -> int:
+        return len(self._storage)
+
+    def add(self, transitions: Sequence[Transition]) -> None:
+        """Store transitions with the greatest priority so far, in place of the oldest ones if memory is full."""
+        if transitions:
+            rows = [(t.observation, t.action, [t.reward, t.discount], t.next_observation) for t in transitions]
+            self._extend(torch.from_numpy(np.stack([np.concatenate(row) for row in rows]).astype(np.float32)))
+
+    def sample(self, beta: float) -> Batch:
+        """Draw a batch with P(i) = p_i^alpha / sum_k p_k^alpha and weights w_i = (N P(i))^-beta / max_k w_k.
+
+        The greatest weight is that of the whole memory, which is how TorchRL's segment trees give it.
+        """
+        if self.prioritised:
+            self._sampler.beta = beta
+        index, information = self._sampler.sample(self._storage, self._batch_size)
+        observation, action, reward, discount, next_observation = self._gather(index)
+        weight = information["priority_weight"].float() if self.prioritised else torch.ones(self._batch_size)
+        return Batch(index, weight, observation, action, reward.squeeze(-1), discount.squeeze(-1), next_observation)
+
+    def sample_observations(self) -> Float[Tensor, "B O"]:
+        """Draw the observations of a uniform batch."""
+        index = torch.randint(len(self), (self._batch_size,), generator=self.generator)
+        return self._gather(index)[0]
+
+    def update_priority(self, index: Int[Tensor, "B"], error: Float[Tensor, "B"]) -> None:
+        """Set the priorities of drawn transitions: |error| + epsilon."""
+        if self.prioritised:
+            self._sampler.update_priority(index, error.abs())
+
+    def state(self) -> dict[str, Tensor]:
+        """Return all that a resumed run needs: rows, priorities, place of the next row, random state."""
+        indices = torch.arange(len(self))
+        state = {
+            "rows": self._gather_rows(indices),
+            "cursor": torch.tensor(self._buffer.writer.state_dict()["_cursor"]),
+            "generator": self.generator.get_state(),
+        }
+        if self.prioritised:
+            sampler = self._sampler.state_dict()
+            state["powered_priority"] = torch.as_tensor(sampler["_sum_tree"][indices])
+            state["max_priority"] = torch.as_tensor(self._sampler.default_priority, dtype=torch.float32)
+        return state
+
+    def load_state(self, state: dict[str, Tensor]) -> None:
+        """Fill an empty memory with what :meth:`state` returned."""
+        self._extend(state["rows"])
+        self._buffer.writer.load_state_dict({"_cursor": int(state["cursor"])})
+        self.generator.set_state(state["generator"])
+        if self.prioritised:
+            sampler = self._sampler.state_dict()
+            indices = torch.arange(len(self))
+            for tree in ("_sum_tree", "_min_tree"):
+                sampler[tree][indices] = state["powered_priority"]
+            sampler["_max_priority"] = (state["max_priority"], None)
+            self._sampler.load_state_dict(sampler)
+
+    def close(self) -> None:
+        """Remove the file."""
+        self._rows = None
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _extend(self, rows: Tensor) -> None:
+        self._buffer.extend(rows)
+        if self._rows is None:
+            # A plain view of the mapped file: indexing TorchRL's own tensor subclass costs four times as much.
+            self._rows = torch.from_numpy(self._storage._storage.numpy())
+
+    def _gather_rows(self, index: Tensor) -> Tensor:
+        assert self._rows is not None
+        return self._rows.index_select(0, index)
+
+    def _gather(self, index: Tensor) -> tuple[Tensor, ...]:
+        return self._gather_rows(index).split(self._split, dim=-1)
+
+
+def check_free_space(folder: Path, needed: int) -> None:
+    """Raise UserError if the disk of ``folder`` has less than ``needed`` bytes free."""
+    free = shutil.disk_usage(folder).free
+    if needed > free:
+        raise UserError(
+            f"replay memory needs {needed / 1e9:.1f} GB of disk, {folder} has {free / 1e9:.1f} GB free; "
+            "use a smaller --replay.capacity"
+        )

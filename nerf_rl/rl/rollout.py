@@ -1,0 +1,100 @@
+"""One episode of a trained policy, step by step, with what its cameras saw."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from numpy import ndarray
+
+from nerf_rl.cameras import intrinsics_from_fovy, look_at
+from nerf_rl.datasets.renderer import MultiViewRenderer
+from nerf_rl.rl.envs import make_env
+from nerf_rl.rl.policy import Policy
+
+
+@dataclass
+class Rollout:
+    """An episode of T observations and T - 1 actions between them."""
+
+    view: UInt8[ndarray, "T S S 3"]
+    """what a camera for people saw"""
+    images: UInt8[ndarray, "T V H W 3"] | None
+    """what the encoder's cameras saw; None for a state agent"""
+    latents: Float[ndarray, "T Z"] | None
+    """their latents as the encoder gives them (not standardised); None for a state agent"""
+    actions: Float[ndarray, "steps A"]
+    rewards: Float[ndarray, "steps"]
+    success: Bool[ndarray, "steps"]
+    """at each action"""
+
+
+def rollout(
+    run: Path | str, seed: int = 0, encoder: str = "", view_size: int = 256, policy: Policy | None = None
+) -> Rollout:
+    """Run one episode in this process, until its first success or its end.
+
+    Args:
+        run: a run folder of train-rl.
+        seed: of the episode.
+        encoder: where the encoder is now, if it has moved.
+        view_size: height and width of ``view`` [pixels].
+        policy: that of ``run``, if the caller has loaded it.
+
+    Raises:
+        UserError: no policy there, or not its encoder.
+    """
+    policy = policy or Policy.load(Path(run), encoder)
+    env, scene = make_env(policy.spec)
+    observe: Any = env if policy.spec.encoder is not None else None
+    renderer = MultiViewRenderer(scene.model, view_size, view_size, 1)
+    intrinsics = intrinsics_from_fovy(45.0, view_size, view_size)[None]
+    pose = look_at(np.array([0.0, 0.68, 0.12]), 1.1, 25.0, -30.0)[None]
+    view: list[ndarray] = []
+    images: list[ndarray] = []
+    latents: list[ndarray] = []
+    actions, rewards, success = [], [], []
+
+    def look() -> None:
+        view.append(renderer.render_rgb(scene.data, intrinsics, pose)[0])
+        if observe is not None:
+            images.append(observe.last_images)
+            latents.append(observe.last_latent)
+
+    try:
+        observation, _ = env.reset(seed=seed)
+        look()
+        ended = False
+        while not ended:
+            action = policy.act(observation[None])[0]
+            observation, reward, terminated, truncated, info = env.step(action)
+            look()
+            actions.append(action)
+            rewards.append(float(reward))
+            success.append(bool(info["success"]))
+            ended = terminated or truncated or success[-1]
+    finally:
+        renderer.close()
+        env.close()
+    return Rollout(
+        np.stack(view),
+        np.stack(images) if images else None,
+        np.stack(latents) if latents else None,
+        np.stack(actions),
+        np.array(rewards),
+        np.array(success),
+    )
+
+
+def film(episode: Rollout) -> UInt8[ndarray, "T height width 3"]:
+    """Return the frames of a video: the view for people, and beside it, one below another, the encoder's cameras."""
+    if episode.images is None:
+        return episode.view
+    count, views, height, width, _ = episode.images.shape
+    size = episode.view.shape[1]
+    tile = size // views
+    rows, columns = np.arange(tile) * height // tile, np.arange(tile) * width // tile
+    column = np.zeros((count, size, tile, 3), np.uint8)
+    column[:, : views * tile] = episode.images[:, :, rows][:, :, :, columns].reshape(count, views * tile, tile, 3)
+    return np.concatenate([episode.view, column], axis=2)

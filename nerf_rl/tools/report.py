@@ -1,0 +1,147 @@
+"""``nerf-rl report``: a dataset, an encoder and an agent on one self-contained page."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.errors import MissingFileError, OutputExistsError
+from nerf_rl.pretrain.artefact import read_description
+from nerf_rl.rl.artefact import check_policy
+from nerf_rl.runs import PROVENANCE, read_json, write_text
+from nerf_rl.tools.config import ReportConfig
+from nerf_rl.tools.page import Page
+
+_FRAMES_PER_SECOND = 12.0
+
+
+def write_report(config: ReportConfig) -> None:
+    """Write the page and print its key figures.
+
+    Raises:
+        UserError: one of the three is missing or unfinished, or the page exists.
+    """
+    out = Path(config.out)
+    if out.exists() and not config.overwrite:
+        raise OutputExistsError(out, "use --overwrite true or another --out")
+    dataset = MultiViewDataset(config.data)
+    encoder_folder, description = read_description(config.encoder)
+    check_policy(Path(config.agent), config.encoder)
+    summaries = {name: _summary(Path(getattr(config, name))) for name in ("data", "encoder", "agent")}
+
+    page = Page(f"{description['scene']['name']}: dataset, encoder, policy")
+    lines = _key_figures(summaries)
+    page.preformatted("\n".join(lines))
+    _add_dataset(page, dataset)
+    _add_encoder(page, encoder_folder, summaries["encoder"])
+    _add_agent(page, config, encoder_folder, description, summaries["agent"])
+    page.heading("How it was made")
+    for name in summaries:
+        page.preformatted(_made(Path(getattr(config, name))))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_text(out, page.render())
+    print("\n".join([*lines, f"report: {out}"]))
+
+
+def _summary(folder: Path) -> dict[str, Any]:
+    path = folder / "summary.json"
+    if not path.is_file():
+        raise MissingFileError("a finished run", folder, "it holds no summary.json", "finish it with --resume true")
+    return read_json(path)
+
+
+def _key_figures(summaries: dict[str, dict[str, Any]]) -> list[str]:
+    data, encoder, agent = summaries["data"], summaries["encoder"], summaries["agent"]
+    figures, last = encoder["validation"], agent["evaluations"][-1]
+    return [
+        f"dataset  {data['frames']} frames, {data['views']} views in {data['seconds']:.0f} s "
+        f"({data['views_per_second']:.0f} views/s, {data['renderer']})",
+        f"encoder  {encoder['steps']} steps in {encoder['seconds']:.0f} s: held-out PSNR {figures['psnr_db']:.1f} dB, "
+        f"mIoU {figures['miou']:.2f}, depth error {100 * figures['depth_mae_m']:.1f} cm",
+        "probe    " + ", ".join(f"{name} {figure['rmse_mm']:.1f} mm" for name, figure in encoder["probe"].items()),
+        f"policy   {last['success_rate']:.0%} success (95 % interval {last['ci_low']:.0%} to {last['ci_high']:.0%}, "
+        f"{last['episodes']} episodes) after {last['env_steps']} environment steps in {agent['seconds']:.0f} s",
+    ]
+
+
+def _add_dataset(page: Page, dataset: MultiViewDataset) -> None:
+    from nerf_rl.tools.contact_sheet import contact_sheet
+
+    page.heading("Dataset")
+    names = ", ".join(dataset.camera_names)
+    frames = np.linspace(0, len(dataset) - 1, 6).astype(int)[1:-1].tolist()
+    for pair in (frames[:2], frames[2:]):
+        caption = f"Colours, labels and depth of two frames; cameras: {names}."
+        page.image(contact_sheet(dataset, pair), caption)
+    page.legend(dataset.class_names, dataset.palette)
+
+
+def _add_encoder(page: Page, folder: Path, summary: dict[str, Any]) -> None:
+    page.heading("Encoder")
+    pictures = sorted((folder / "reconstructions").glob("step_*.png"))
+    if pictures:
+        caption = (
+            "Held-out frames from the encoder's cameras: what they saw (upper row of each pair) and what the radiance "
+            "field renders from the latent alone (lower row). Colours, labels, depth."
+        )
+        page.image(pictures[-1].read_bytes(), caption)
+    page.table(["class", "IoU"], [[name, f"{iou:.2f}"] for name, iou in summary["class_iou"].items()])
+    page.paragraph("What a linear map reads from the latent, on held-out episodes:")
+    rows = []
+    for name, figure in summary["probe"].items():
+        untrained = summary["probe_random_encoder"][name]
+        rows.append([name, f"{figure['rmse_mm']:.1f}", f"{figure['r2']:.3f}", f"{untrained['rmse_mm']:.1f}"])
+    page.table(["state", "RMSE [mm]", "R2", "untrained encoder, RMSE [mm]"], rows)
+
+
+def _add_agent(
+    page: Page, config: ReportConfig, encoder_folder: Path, description: dict[str, Any], summary: dict[str, Any]
+) -> None:
+    from nerf_rl.pretrain.encoder import Encoder
+    from nerf_rl.pretrain.field import RadianceField
+    from nerf_rl.rl.records import draw_learning_curve
+    from nerf_rl.rl.rollout import rollout
+    from nerf_rl.rl.video import write_mp4
+    from nerf_rl.tools.decoded_rollout import decoded_clip
+
+    page.heading("Policy")
+    encoder, field = Encoder.load(config.encoder), RadianceField.load(encoder_folder)
+    palette = np.array(description["palette"], np.uint8)
+    clips, outcomes = [], []
+    for i in range(config.episodes):
+        episode = rollout(config.agent, config.seed + i, config.encoder)
+        outcomes.append("success" if episode.success.any() else "no success")
+        assert episode.images is not None and episode.latents is not None  # check_policy asked for an encoder
+        clips.append(decoded_clip(episode.view, episode.images, episode.latents, field, encoder.rig, palette))
+    with TemporaryDirectory() as scratch:
+        write_mp4(Path(scratch) / "clip.mp4", np.concatenate(clips), _FRAMES_PER_SECOND)
+        draw_learning_curve(Path(scratch) / "curve.png", summary["evaluations"], "")
+        caption = (
+            f"Episodes of seeds {config.seed} to {config.seed + config.episodes - 1} ({', '.join(outcomes)}). "
+            f"Left: the scene. Middle: camera '{encoder.rig.names[0]}' above what the field decodes from the latent. "
+            "Right: decoded labels above decoded depth."
+        )
+        page.clip((Path(scratch) / "clip.mp4").read_bytes(), caption)
+        page.image((Path(scratch) / "curve.png").read_bytes(), "Evaluations during training, with 95 % intervals.")
+    rows = [
+        [
+            str(e["env_steps"]),
+            f"{e['success_rate']:.0%}",
+            f"{e['ci_low']:.0%} to {e['ci_high']:.0%}",
+            str(e["episodes"]),
+        ]
+        for e in summary["evaluations"]
+    ]
+    page.table(["environment steps", "success", "95 % interval", "episodes"], rows)
+
+
+def _made(folder: Path) -> str:
+    """Return the command, revision and versions behind a folder."""
+    if not (folder / PROVENANCE).is_file():
+        return f"{folder}: unknown"
+    record = read_json(folder / PROVENANCE)
+    versions = " ".join(f"{name}=={version}" for name, version in record["packages"].items())
+    command = " ".join(["nerf-rl", *record["arguments"]])
+    return f"{command}\n  revision {record['git_revision']}, seed {record['seed']}\n  {versions}"

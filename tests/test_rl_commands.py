@@ -1,0 +1,154 @@
+"""train-rl and evaluate from end to end: a tiny encoder, few steps, every file that they promise."""
+
+import csv
+import json
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from metaworld.env_dict import ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE
+
+from nerf_rl import cli
+from nerf_rl.datasets.scenes import make_scene
+from nerf_rl.errors import UserError
+from nerf_rl.pretrain.encoder import Encoder
+from nerf_rl.rl.envs import EnvSpec, make_env
+from nerf_rl.rl.observation import LatentObservation
+from nerf_rl.rl.policy import Policy
+from nerf_rl.rl.rollout import film, rollout
+from nerf_rl.rl.video import write_mp4
+
+SHORT = ["--env_steps", "120", "--warmup_steps", "40", "--episode_steps", "20", "--learner.batch_size", "8"]
+SHORT += ["--evaluation_every", "80", "--evaluation_episodes", "2", "--final_evaluation_episodes", "3", "--envs", "2"]
+SHORT += ["--replay.capacity", "500", "--network.hidden", "[16, 16]"]
+
+
+@pytest.fixture(scope="module")
+def run(tiny_encoder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("rl") / "agent"
+    assert cli.main(["train-rl", "--encoder", str(tiny_encoder), "--out", str(out), *SHORT]) == 0
+    return out
+
+
+def test_training_leaves_what_it_promises(run: Path) -> None:
+    names = {path.name for path in run.iterdir()}
+    assert names == {
+        "config.yaml",
+        "provenance.json",
+        "summary.json",
+        "metrics.csv",
+        "learning_curve.png",
+        "policy.json",
+        "policy.safetensors",
+        "checkpoints",
+    }
+    summary = json.loads((run / "summary.json").read_text())
+    assert summary["env_steps"] == 120
+    assert [(e["env_steps"], e["episodes"]) for e in summary["evaluations"]] == [(80, 2), (120, 3)]
+    assert {"success_rate", "ci_low", "ci_high", "mean_return"} <= set(summary["evaluations"][0])
+    with open(run / "metrics.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert rows[-1]["env_steps"] == "120" and float(rows[-1]["critic_loss"]) >= 0
+
+
+def test_evaluation_writes_its_summary_and_a_video(run: Path, tmp_path: Path) -> None:
+    out = tmp_path / "evaluation"
+    keys = ["--episodes", "3", "--video", "true", "--video_episodes", "1", "--video_size", "64"]
+    assert cli.main(["evaluate", "--run", str(run), "--out", str(out), *keys]) == 0
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["episodes"] == 3 and 0 <= summary["ci_low"] <= summary["success_rate"] <= summary["ci_high"] <= 1
+    assert (out / "episodes.mp4").read_bytes()[4:8] == b"ftyp"
+
+
+def test_a_rollout_tells_each_step(run: Path, tiny_encoder: Path) -> None:
+    episode = rollout(run, seed=3, view_size=48)
+    encoder = Encoder.load(tiny_encoder)
+    assert episode.images is not None and episode.latents is not None
+    steps = len(episode.actions)
+    assert episode.images.shape == (steps + 1, 2, 24, 24, 3)
+    assert episode.view.shape == (steps + 1, 48, 48, 3)
+    with torch.inference_mode():
+        projections = torch.as_tensor(encoder.rig.projections)[None].expand(steps + 1, -1, -1, -1)
+        latents = encoder(torch.from_numpy(episode.images), projections)
+    assert np.allclose(episode.latents, latents.numpy(), atol=1e-4)
+    assert film(episode).shape == (steps + 1, 48, 72, 3)
+
+
+def test_the_observation_is_the_standardised_latent_and_proprioception_only(tiny_encoder: Path) -> None:
+    encoder = Encoder.load(tiny_encoder)
+    env, scene = make_env(EnvSpec("metaworld/drawer-open-v3", str(tiny_encoder), 2, 20), encoder)
+    observation, _ = env.reset(seed=1)
+    assert env.observation_space.contains(observation)
+    assert observation.shape == (encoder.latent_size + len(scene.proprio_names),)
+    assert isinstance(env, LatentObservation)
+    latent = (env.last_latent - encoder.latent_mean.numpy()) / encoder.latent_std.numpy()
+    assert np.allclose(observation[: encoder.latent_size], latent, atol=1e-5)
+    hand = scene.data.body("hand").xpos
+    assert np.allclose(observation[encoder.latent_size :][:2], hand[:2], atol=0.02)
+    env.close()
+
+
+def test_any_gymnasium_environment_with_a_mujoco_model_can_be_wrapped(tiny_encoder: Path) -> None:
+    env = LatentObservation(make_scene("metaworld/drawer-open-v3").env, tiny_encoder)
+    observation, _ = env.reset(seed=0)
+    assert observation.shape == (8,) and observation.dtype == np.float32
+    env.close()
+
+
+def test_an_encoder_of_another_scene_is_refused_before_anything_is_written(
+    tiny_encoder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    keys = ["--scene", "metaworld/door-open-v3", "--encoder", str(tiny_encoder), "--out", str(tmp_path / "x")]
+    assert cli.main(["train-rl", *keys]) == 2
+    assert (
+        "the encoder was trained on scene metaworld/drawer-open-v3, not metaworld/door-open-v3"
+        in capsys.readouterr().err
+    )
+    assert not (tmp_path / "x").exists()
+
+
+def test_a_policy_comes_back_from_disk_the_same_and_knows_its_encoder(
+    run: Path, tiny_encoder: Path, tmp_path: Path
+) -> None:
+    policy = Policy.load(run)
+    policy.save(tmp_path)
+    again = Policy.load(tmp_path)
+    observation = np.random.default_rng(0).normal(size=(5, policy.observation_size)).astype(np.float32)
+    assert np.array_equal(policy.act(observation), again.act(observation))
+    assert (again.spec, again.proprio_names) == (policy.spec, ["hand_x", "hand_y", "hand_z", "gripper"])
+    other = tmp_path / "other"
+    other.mkdir()
+    for name in ("encoder.json", "encoder.safetensors"):
+        (other / name).write_bytes((tiny_encoder / name).read_bytes())
+    assert Policy.load(run, str(other)).spec.encoder == str(other)
+    with open(other / "encoder.safetensors", "ab") as file:
+        file.write(b"\0")
+    with pytest.raises(UserError, match="is not the encoder that the policy in"):
+        Policy.load(run, str(other))
+
+
+def test_a_run_on_the_true_state_resumes_and_evaluates(tmp_path: Path) -> None:
+    out = tmp_path / "state"
+    assert cli.main(["train-rl", "--out", str(out), *SHORT, "--envs", "1", "--checkpoint_every", "60"]) == 0
+    longer = ["--env_steps", "140", "--resume", "true", "--envs", "1"]
+    assert cli.main(["train-rl", "--out", str(out), *SHORT, *longer]) == 0
+    summary = json.loads((out / "summary.json").read_text())
+    assert [e["env_steps"] for e in summary["evaluations"]] == [80, 120, 140]
+    assert rollout(out, view_size=32).images is None
+    assert cli.main(["train-rl", "--out", str(out), *SHORT]) == 2
+
+
+def test_videos_of_odd_size_are_padded(tmp_path: Path) -> None:
+    write_mp4(tmp_path / "x.mp4", np.zeros((3, 33, 35, 3), np.uint8), 10.0)
+    assert (tmp_path / "x.mp4").stat().st_size > 500
+    assert [path.name for path in tmp_path.iterdir()] == ["x.mp4"]
+
+
+def test_a_stock_environment_keeps_its_own_observation_space_inside(tiny_encoder: Path) -> None:
+    stock = ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE["drawer-open-v3-goal-observable"](seed=0)
+    env = LatentObservation(stock, tiny_encoder, proprio=lambda observation: observation[:4])
+    assert isinstance(env.env.observation_space, gymnasium.spaces.Box)
+    assert env.observation_space.shape == (12,)
+    env.close()

@@ -1,0 +1,82 @@
+"""Mistakes in the keys of train-rl and evaluate, by the words of their answers; the shipped recipes."""
+
+from pathlib import Path
+
+import pytest
+
+from nerf_rl import cli
+from nerf_rl.errors import UserError
+
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--env_steps", "0"], "--env_steps must be at least 1, got 0"),
+        (["--warmup_steps", "60000"], "--warmup_steps 60000 leaves nothing of --env_steps 50000 to learn in"),
+        (["--episode_steps", "1"], "--episode_steps 1 is less than --action_repeat 2"),
+        (["--learner.gamma", "1.5"], "--learner.gamma must be in [0, 1], got 1.5"),
+        (["--learner.tau", "0"], "--learner.tau must be in (0, 1], got 0.0"),
+        (["--learner.critic_rate", "-1"], "--learner.critic_rate must be positive, got -1.0"),
+        (["--learner.actor_batch", "big"], "unknown actor batch 'big'; available: prioritised, uniform"),
+        (["--network.normalisation", "layr"], "unknown normalisation 'layr' (did you mean layer?)"),
+        (["--network.hidden", "[256]"], "--network.hidden needs two positive widths, got [256]"),
+        (["--noise.kind", "pnk"], "unknown noise kind 'pnk' (did you mean pink?); available: gaussian, ou, pink"),
+        (["--noise.hold_share", "1"], "noise needs hold_share in [0, 1)"),
+        (["--replay.beta", "2"], "beta in [0, 1]"),
+        (["--seeds", "3"], "unknown key 'seeds' (did you mean seed"),
+        (
+            ["--scene", "metaworld/drawer-opn-v3"],
+            "unknown Meta-World task 'drawer-opn-v3' (did you mean drawer-open-v3",
+        ),
+        (["--encoder", "nowhere"], "nowhere is not an encoder: it does not exist"),
+        (
+            ["--episode_steps", "600"],
+            "--episode_steps 600 is more than the 500 steps that metaworld/drawer-open-v3 allows",
+        ),
+    ],
+)
+def test_a_mistake_in_training_keys_is_told_in_a_sentence_and_nothing_is_written(
+    arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    assert cli.main(["train-rl", "--out", str(out), *arguments]) == 2
+    assert words in capsys.readouterr().err
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--run", "nowhere"], "nowhere is not a train-rl run with a policy: it holds no policy.json"),
+        (["--run", "x", "--episodes", "0"], "--episodes must be at least 1, got 0"),
+        (["--run", "x", "--video_size", "100"], "--video_size must be a multiple of 16"),
+    ],
+)
+def test_a_mistake_in_evaluation_keys_is_told_in_a_sentence_and_nothing_is_written(
+    arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "evaluation"
+    assert cli.main(["evaluate", "--out", str(out), *arguments]) == 2
+    assert words in capsys.readouterr().err
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("recipe", sorted((ROOT / "rl").glob("*.yaml")), ids=lambda path: path.stem)
+def test_shipped_recipes_are_valid(recipe: Path) -> None:
+    config = cli.parse("train-rl", ["--config", str(recipe), "--out", "x"])
+    assert config.final_evaluation_episodes >= 20
+
+
+def test_resuming_with_other_keys_is_refused(tmp_path: Path) -> None:
+    from nerf_rl.rl.train import _can_resume
+    from nerf_rl.runs import write_provenance
+
+    config = cli.parse("train-rl", ["--out", str(tmp_path)])
+    assert not _can_resume(tmp_path, config)
+    write_provenance(tmp_path, "train-rl", config)
+    assert _can_resume(tmp_path, cli.parse("train-rl", ["--out", str(tmp_path), "--env_steps", "90000"]))
+    other = cli.parse("train-rl", ["--out", str(tmp_path), "--seed", "3", "--learner.gamma", "0.5"])
+    with pytest.raises(UserError, match="was begun with another --learner, --seed"):
+        _can_resume(tmp_path, other)

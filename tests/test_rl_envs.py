@@ -1,0 +1,157 @@
+"""Environments: action repeat, time limits, resets, evaluation. Also the tiny environment of other tests."""
+
+import functools
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode
+
+from nerf_rl.errors import UserError
+from nerf_rl.rl.envs import ActionRepeat, EnvSpec, make_env, reset_some
+from nerf_rl.rl.episodes import evaluation_seeds, run_episodes, training_seed
+
+
+class Point(gymnasium.Env):
+    """A point on a line, observed as [position, step]; the action moves it, the reward is minus the distance to 0.
+
+    It starts at a place that depends on the seed. ``success`` within 0.05 of 0; with ``fall`` it terminates beyond 1.5.
+    """
+
+    observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (2,), np.float32)
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
+
+    def __init__(self, fall: bool = False):
+        self._fall, self.position, self.count = fall, 0.0, 0
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
+        super().reset(seed=seed)
+        self.position, self.count = float(self.np_random.uniform(-1.0, 1.0)), 0
+        return self._observation(), {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
+        self.position += 0.2 * float(np.clip(action[0], -1.0, 1.0))
+        self.count += 1
+        near = abs(self.position) < 0.05
+        fallen = self._fall and abs(self.position) > 1.5
+        return self._observation(), -abs(self.position), fallen, False, {"success": near, "other": "dropped"}
+
+    def _observation(self) -> np.ndarray:
+        return np.array([self.position, self.count], np.float32)
+
+
+def point_env(steps: int = 10, repeat: int = 1, fall: bool = False) -> gymnasium.Env:
+    return ActionRepeat(gymnasium.wrappers.TimeLimit(Point(fall), steps), repeat)
+
+
+def point_envs(count: int, **keys: Any) -> AsyncVectorEnv:
+    """The tiny environment in worker processes, set up as :func:`nerf_rl.rl.envs.make_vector_env` does it."""
+    make = functools.partial(point_env, **keys)
+    return AsyncVectorEnv([make] * count, context="spawn", autoreset_mode=AutoresetMode.DISABLED)
+
+
+def to_zero(observation: np.ndarray) -> np.ndarray:
+    return np.clip(-2.0 * observation[:, :1], -1.0, 1.0).astype(np.float32)
+
+
+def test_action_repeat_sums_rewards_and_counts_steps() -> None:
+    env, single = point_env(repeat=3), Point()
+    env.reset(seed=1)
+    single.reset(seed=1)
+    action = np.array([0.3], np.float32)
+    rewards = [single.step(action)[1] for _ in range(3)]
+    observation, reward, _, _, info = env.step(action)
+    assert reward == pytest.approx(sum(rewards))
+    assert observation[0] == pytest.approx(single.position)
+    assert info == {"success": info["success"], "env_steps": 3}
+
+
+def test_action_repeat_stops_at_the_time_limit_which_counts_environment_steps() -> None:
+    env = point_env(steps=5, repeat=3)
+    env.reset(seed=1)
+    assert env.step(np.zeros(1))[2:4] == (False, False)
+    _, _, terminated, truncated, info = env.step(np.zeros(1))
+    assert (terminated, truncated, info["env_steps"]) == (False, True, 2)
+
+
+def test_action_repeat_remembers_a_success_in_between() -> None:
+    env = point_env(repeat=4)
+    env.reset(seed=1)
+    env.unwrapped.position = -0.4
+    _, _, _, _, info = env.step(np.ones(1))
+    assert env.unwrapped.position == pytest.approx(0.4)
+    assert info["success"] is True
+
+
+def test_a_vector_step_returns_the_true_last_observation_and_resets_only_who_is_done() -> None:
+    envs = point_envs(2, steps=4)
+    try:
+        seeds = [11, 12]
+        start = reset_some(envs, np.array([True, True]), seeds)
+        alone = [point_env(steps=4) for _ in seeds]
+        assert np.array_equal(start, [env.reset(seed=seed)[0] for env, seed in zip(alone, seeds, strict=True)])
+        for _ in range(2):
+            envs.step(np.full((2, 1), 0.5, np.float32))
+        restarted = reset_some(envs, np.array([False, True]), [0, 13])
+        assert restarted[0, 1] == 2
+        assert np.array_equal(restarted[1], alone[1].reset(seed=13)[0])
+        for _ in range(2):
+            observation, _, terminated, truncated, _ = envs.step(np.full((2, 1), 0.5, np.float32))
+        assert truncated.tolist() == [True, False] and not terminated.any()
+        assert observation[0, 1] == 4, "the last observation of the episode, not the first of the next"
+        assert observation[0, 0] == pytest.approx(start[0, 0] + 4 * 0.1, abs=1e-6)
+    finally:
+        envs.close(terminate=True)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_evaluation_runs_each_seed_once_whatever_the_number_of_environments(count: int) -> None:
+    seeds = evaluation_seeds(0, 7)
+    envs = point_envs(count, steps=4)
+    try:
+        result = run_episodes(envs, to_zero, seeds)
+    finally:
+        envs.close(terminate=True)
+    for index, seed in enumerate(seeds):
+        env = point_env(steps=4)
+        observation, _ = env.reset(seed=seed)
+        total, length, success, over = 0.0, 0, False, False
+        while not over and not success:
+            observation, reward, terminated, truncated, info = env.step(to_zero(observation[None])[0])
+            total, length, over = total + reward, length + 1, terminated or truncated
+            success = info["success"]
+        assert (result.success[index], result.length[index]) == (success, length)
+        assert result.returns[index] == pytest.approx(total)
+    assert 0 < result.success.sum() < 7, "the test should see both outcomes"
+    summary = result.summary()
+    assert summary["episodes"] == 7
+    assert summary["ci_low"] < summary["success_rate"] < summary["ci_high"]
+
+
+def test_seeds_of_training_and_evaluation_do_not_meet() -> None:
+    training = {training_seed(0, env, episode) for env in range(4) for episode in range(200)}
+    evaluation = evaluation_seeds(0, 200)
+    assert len(training) == 800
+    assert evaluation[:20] == evaluation_seeds(0, 20)
+    assert not training & set(evaluation)
+
+
+def test_an_episode_longer_than_the_scene_allows_is_refused() -> None:
+    with pytest.raises(UserError, match="--episode_steps 501 is more than the 500 steps"):
+        make_env(EnvSpec("metaworld/drawer-open-v3", None, 2, 501))
+
+
+def test_the_state_environment_is_float32_repeatable_and_of_fixed_length() -> None:
+    env, scene = make_env(EnvSpec("metaworld/drawer-open-v3", None, 2, 20))
+    first, _ = env.reset(seed=5)
+    assert first.dtype == np.float32 and env.observation_space.contains(first)
+    total = 0
+    for step in range(10):
+        observation, _, terminated, truncated, info = env.step(np.full(4, 0.1))
+        total += info["env_steps"]
+        assert observation.dtype == np.float32 and truncated == (step == 9) and not terminated
+    assert total == 20
+    assert np.array_equal(env.reset(seed=5)[0], first)
+    assert not np.array_equal(env.reset(seed=6)[0], first)
+    scene.env.close()

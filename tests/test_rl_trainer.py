@@ -1,0 +1,98 @@
+"""The training loop on the tiny environment: it learns, is repeatable, and resumes exactly."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from gymnasium.vector import AsyncVectorEnv
+from safetensors.torch import load_file
+from test_rl_envs import point_envs
+
+from nerf_rl.progress import Progress
+from nerf_rl.rl.checkpoint import last_checkpoint, write_tensors
+from nerf_rl.rl.config import LearnerConfig, NetworkConfig, NoiseConfig, ReplayConfig, TrainRLConfig
+from nerf_rl.rl.trainer import Trainer
+
+
+@pytest.fixture(scope="module")
+def envs() -> AsyncVectorEnv:
+    envs = point_envs(2, steps=12, repeat=2)
+    yield envs
+    envs.close(terminate=True)
+
+
+def config(run: Path, **keys: object) -> TrainRLConfig:
+    return TrainRLConfig(
+        str(run),
+        env_steps=4000,
+        warmup_steps=100,
+        network=NetworkConfig(hidden=[32, 32]),
+        learner=LearnerConfig(batch_size=32, actor_rate=1e-3, reward_scale=1.0, actor_every=1),
+        noise=NoiseConfig(decay_steps=1500, end=0.05),
+        replay=ReplayConfig(capacity=4000),
+        **keys,
+    )
+
+
+def train(trainer: Trainer, until: int) -> None:
+    with Progress(until, "env steps", done=trainer.env_steps) as progress:
+        trainer.train(progress, until)
+
+
+def test_it_solves_a_tiny_task(envs: AsyncVectorEnv, tmp_path: Path) -> None:
+    trainer = Trainer(config(tmp_path), envs, tmp_path)
+    before = trainer.evaluate(10)
+    train(trainer, 2500)
+    after = trainer.evaluate(20)
+    trainer.replay.close()
+    assert after["success_rate"] >= 0.9 > before["success_rate"]
+    assert after["env_steps"] == trainer.env_steps == 2500
+    positions = np.array([[-0.8, 2], [0.8, 2]], np.float32)
+    assert np.sign(trainer.agent.act(positions)[:, 0]).tolist() == [1, -1]
+    rows = (tmp_path / "metrics.csv").read_text().splitlines()
+    assert [row.split(",")[0] for row in rows[1:]] == ["1000", "2000", "2500"]
+
+
+def test_a_resumed_run_ends_bit_for_bit_like_an_uninterrupted_one(envs: AsyncVectorEnv, tmp_path: Path) -> None:
+    def finish(trainer: Trainer, from_step: int) -> dict[str, torch.Tensor]:
+        if from_step == 0:
+            train(trainer, 300)
+            trainer.evaluate(2)
+            trainer.save()
+        train(trainer, 620)
+        trainer.replay.close()
+        return trainer.agent.actor.state_dict() | trainer.agent.target_critic.state_dict()
+
+    run = tmp_path / "run"
+    run.mkdir()
+    uninterrupted = Trainer(config(run), envs, run)
+    wanted = finish(uninterrupted, 0)
+    resumed = Trainer(config(run, resume=True), envs, run)
+    assert resumed.env_steps == 300
+    assert resumed.evaluations == uninterrupted.evaluations
+    found = finish(resumed, 300)
+    assert all(torch.equal(found[name], wanted[name]) for name in wanted)
+    assert resumed.agent.updates == uninterrupted.agent.updates
+    assert resumed.episodes == uninterrupted.episodes
+
+
+def test_only_the_newest_complete_checkpoint_is_kept(envs: AsyncVectorEnv, tmp_path: Path) -> None:
+    trainer = Trainer(config(tmp_path), envs, tmp_path)
+    for until in (24, 72):
+        train(trainer, until)
+        trainer.save()
+    trainer.replay.close()
+    (tmp_path / "checkpoints" / "partial").mkdir()
+    assert last_checkpoint(tmp_path) == tmp_path / "checkpoints" / "00000072"
+    assert sorted(path.name for path in (tmp_path / "checkpoints").iterdir()) == ["00000072", "partial"]
+    assert {path.suffix for path in tmp_path.rglob("*") if path.is_file()} <= {".csv", ".json", ".safetensors"}
+
+
+def test_a_failed_write_leaves_the_older_file(tmp_path: Path) -> None:
+    write_tensors(tmp_path / "x.safetensors", {"a": torch.ones(2)})
+    shared = torch.ones(4)
+    with pytest.raises(RuntimeError):
+        write_tensors(tmp_path / "x.safetensors", {"a": shared, "b": shared})
+    assert [path.name for path in tmp_path.iterdir()] == ["x.safetensors"]
+    assert torch.equal(load_file(tmp_path / "x.safetensors")["a"], torch.ones(2))

@@ -1,0 +1,104 @@
+"""Record a finished `make demo`: result files, pictures and README tables.
+
+Run from a checkout's root: .venv/bin/python tools/record_demo.py --setup-seconds 95
+"""
+
+import argparse
+import re
+import shutil
+from pathlib import Path
+
+import cv2
+
+from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.rl.records import draw_learning_curve
+from nerf_rl.runs import read_json, write_json, write_text
+from nerf_rl.tools.contact_sheet import contact_sheet
+
+STAGES = {
+    "datasets": Path("data/demo"),
+    "pretrain": Path("runs/demo/encoder"),
+    "rl": Path("runs/demo/agent"),
+}
+
+
+def main() -> None:
+    """Copy summaries with their provenance, draw pictures, and rewrite the tables between markers."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--setup-seconds", type=float, required=True, help="what `make setup` took [s]")
+    setup_seconds = parser.parse_args().setup_seconds
+    results = {}
+    for stage, folder in STAGES.items():
+        results[stage] = {**read_json(folder / "summary.json"), "provenance": read_json(folder / "provenance.json")}
+        (Path(stage) / "results").mkdir(exist_ok=True)
+        write_json(Path(stage) / "results" / "demo.json", results[stage])
+    dataset = MultiViewDataset(STAGES["datasets"])
+    sheet = contact_sheet(dataset, [len(dataset) // 3, 2 * len(dataset) // 3])
+    cv2.imwrite("datasets/results/contact_sheet.png", sheet[..., ::-1])
+    newest = max((STAGES["pretrain"] / "reconstructions").glob("step_*.png"))
+    shutil.copy(newest, "pretrain/results/reconstruction.png")
+    draw_learning_curve(Path("rl/results/demo.png"), results["rl"]["evaluations"], "make demo")
+    tables = {
+        "demo": demo_table(results, setup_seconds),
+        "pretrain": pretrain_table(results["pretrain"]),
+        "rl": rl_table(results["rl"]),
+    }
+    for readme in (Path("README.md"), *(Path(stage) / "README.md" for stage in STAGES)):
+        text = readme.read_text()
+        for name, table in tables.items():
+            pattern = rf"(<!-- table: {name} -->\n).*?(<!-- end -->)"
+            text = re.sub(pattern, lambda match, table=table: f"{match[1]}{table}\n{match[2]}", text, flags=re.DOTALL)
+        write_text(readme, text)
+
+
+def demo_table(results: dict, setup_seconds: float) -> str:
+    """Return the figures of all stages."""
+    data, encoder, agent = results["datasets"], results["pretrain"], results["rl"]
+    figures, last = encoder["validation"], agent["evaluations"][-1]
+    probe = ", ".join(
+        f"{name.replace('_', ' ')} {figure['rmse_mm']:.1f} mm"
+        for name, figure in encoder["probe"].items()
+        if not name.startswith("goal")
+    )
+    rows = [
+        ("set-up", f"{setup_seconds:.0f} s"),
+        ("dataset", f"{data['frames']:,} frames x 4 views of 64 x 64 in {data['seconds']:.0f} s"),
+        (
+            "encoder",
+            f"{encoder['steps']:,} steps in {encoder['seconds']:.0f} s, {encoder['peak_rss_mb']:.0f} MB: "
+            f"held-out PSNR {figures['psnr_db']:.1f} dB, mIoU {figures['miou']:.2f}, "
+            f"depth error {100 * figures['depth_mae_m']:.1f} cm",
+        ),
+        ("linear probe, RMSE", probe),
+        (
+            "policy",
+            f"{last['success_rate']:.0%} success in {last['episodes']} episodes (95 % interval {last['ci_low']:.0%} to "
+            f"{last['ci_high']:.0%}) after {last['env_steps']:,} environment steps, {agent['seconds']:.0f} s",
+        ),
+    ]
+    return "\n".join(["| stage | result |", "|---|---|", *(f"| {name} | {result} |" for name, result in rows)])
+
+
+def pretrain_table(summary: dict) -> str:
+    """Return the probes and the classes' IoU."""
+    lines = ["| state | RMSE [mm] | R2 | untrained encoder, RMSE [mm] |", "|---|---|---|---|"]
+    for name, figure in summary["probe"].items():
+        untrained = summary["probe_random_encoder"][name]["rmse_mm"]
+        lines.append(f"| {name} | {figure['rmse_mm']:.1f} | {figure['r2']:.3f} | {untrained:.1f} |")
+    lines += ["", "| class | IoU |", "|---|---|"]
+    lines += [f"| {name} | {iou:.2f} |" for name, iou in summary["class_iou"].items()]
+    return "\n".join(lines)
+
+
+def rl_table(summary: dict) -> str:
+    """Return the evaluations during training."""
+    lines = ["| environment steps | success | 95 % interval | episodes | mean return |", "|---|---|---|---|---|"]
+    for e in summary["evaluations"]:
+        interval = f"{e['ci_low']:.0%} to {e['ci_high']:.0%}"
+        row = (f"{e['env_steps']:,}", f"{e['success_rate']:.0%}", interval, e["episodes"], f"{e['mean_return']:.0f}")
+        lines.append(f"| {' | '.join(map(str, row))} |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
