@@ -36,7 +36,7 @@ class NoiseConfig:
     """standard deviation at the first step"""
     end: float = 0.1
     """standard deviation after decay_steps"""
-    decay_steps: int = 20_000
+    decay_steps: int = 30_000
     """environment steps from start to end"""
     theta: float = 0.15
     """ou only: share of the noise that is forgotten in each step"""
@@ -140,7 +140,7 @@ class TrainRLConfig:
     """environment steps of training, over all environments and with action repeats counted"""
     action_repeat: int = 2
     """environment steps for which an action is held"""
-    episode_steps: int = 100
+    episode_steps: int = 200
     """environment steps after which an episode is truncated"""
     envs: int = 2
     """environments, each in a process of its own"""
