@@ -81,7 +81,7 @@ class HeldActions:
 
     Independent noise trembles around one place; a policy that rests against a handle is only carried behind it by a
     motion that goes on in one direction, and that the policy does not counteract. Corners move furthest: held for ten
-    steps from rest on drawer-open's handle, 58 % of them open the drawer, of uniform actions 28 %.
+    steps from rest on drawer-open's handle, 57 % of them open the drawer by 10 cm, of uniform actions 14 %.
     """
 
     def __init__(self, envs: int, action_size: int, mean_steps: int, rng: np.random.Generator):
