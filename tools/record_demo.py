@@ -5,7 +5,6 @@ Run from a checkout's root: .venv/bin/python tools/record_demo.py --setup-second
 
 import argparse
 import re
-import shutil
 from pathlib import Path
 
 import cv2
@@ -36,7 +35,8 @@ def main() -> None:
     sheet = contact_sheet(dataset, [len(dataset) // 3, 2 * len(dataset) // 3])
     cv2.imwrite("datasets/results/contact_sheet.png", sheet[..., ::-1])
     newest = max((STAGES["pretrain"] / "reconstructions").glob("step_*.png"))
-    shutil.copy(newest, "pretrain/results/reconstruction.png")
+    halved = cv2.imread(str(newest))[::2, ::2]  # one pixel each, to stay small
+    cv2.imwrite("pretrain/results/reconstruction.png", halved)
     draw_learning_curve(Path("rl/results/demo.png"), results["rl"]["evaluations"], "make demo")
     tables = {
         "demo": demo_table(results, setup_seconds),
