@@ -74,7 +74,7 @@ def validation_episodes(config: GenDatasetConfig) -> frozenset[int]:
 
 def render_shard(config: GenDatasetConfig, shard: int) -> int:
     """Write a shard; return its number of frames. The content depends on the configuration and its seed alone."""
-    studio = _studio(_frozen(config))
+    studio = _studio(_FrozenConfig(config))
     held_out = validation_episodes(config)
     episodes = shard_episodes(config, shard)
     constant = {"cameras/intrinsics": studio.rig.intrinsics}
@@ -139,10 +139,6 @@ class _FrozenConfig:
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _FrozenConfig) and other._content == self._content
-
-
-def _frozen(config: GenDatasetConfig) -> _FrozenConfig:
-    return _FrozenConfig(config)
 
 
 @functools.lru_cache(maxsize=1)

@@ -5,10 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from nerf_rl.errors import MissingFileError, UserError
-from nerf_rl.pretrain.artefact import read_description
+from nerf_rl.pretrain.artefact import WEIGHTS, read_description
 from nerf_rl.runs import read_json
 
-_WEIGHTS = "encoder.safetensors"
 POLICY_WEIGHTS, POLICY_DESCRIPTION = "policy.safetensors", "policy.json"
 
 
@@ -28,7 +27,7 @@ def compare_scenes(trained: str, wanted: str) -> None:
 def encoder_digest(encoder: str | Path) -> str:
     """Return the sha256 of the file that holds an encoder's weights."""
     folder, _ = read_description(encoder)
-    weights = Path(encoder) if Path(encoder).suffix == ".ckpt" else folder / _WEIGHTS
+    weights = Path(encoder) if Path(encoder).suffix == ".ckpt" else folder / WEIGHTS
     with open(weights, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
