@@ -1,6 +1,6 @@
 """Training batches: for each step some frames, their encoder images, and rays drawn over their supervising cameras."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import lightning
 import numpy as np
@@ -200,7 +200,3 @@ class MultiViewDataModule(lightning.LightningDataModule):
         frames = self._dataset.split("validation")
         chosen = frames[np.linspace(0, len(frames) - 1, min(self._config.validation_frames, len(frames))).astype(int)]
         return DataLoader([int(frame) for frame in chosen], batch_size=None)  # type: ignore[arg-type]
-
-    def state_dict(self) -> dict[str, Any]:
-        """Nothing: a step's batch depends on its number alone."""
-        return {}
