@@ -1,9 +1,12 @@
 """Record a finished `make demo`: result files, pictures and README tables.
 
-Run from a checkout's root: .venv/bin/python tools/record_demo.py --setup-seconds 95
+Run from the root of the checkout that made it, with what `make demo` printed and `time` measured:
+
+    .venv/bin/python tools/record_demo.py --setup-seconds 95 --total-seconds 830
 """
 
 import argparse
+import os
 import re
 from pathlib import Path
 
@@ -25,12 +28,16 @@ def main() -> None:
     """Copy summaries with their provenance, draw pictures, and rewrite the tables between markers."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--setup-seconds", type=float, required=True, help="what `make setup` took [s]")
-    setup_seconds = parser.parse_args().setup_seconds
+    parser.add_argument("--total-seconds", type=float, required=True, help="what `make demo` took, set-up included [s]")
+    times = vars(parser.parse_args())
     results = {}
     for stage, folder in STAGES.items():
         results[stage] = {**read_json(folder / "summary.json"), "provenance": read_json(folder / "provenance.json")}
         (Path(stage) / "results").mkdir(exist_ok=True)
         write_json(Path(stage) / "results" / "demo.json", results[stage])
+    Path("tools/results").mkdir(exist_ok=True)
+    made_by = {name: results["rl"]["provenance"][name] for name in ("git_revision", "packages")}
+    write_json(Path("tools/results/demo.json"), {"command": "make demo", **times, "cpus": os.cpu_count(), **made_by})
     dataset = MultiViewDataset(STAGES["datasets"])
     sheet = contact_sheet(dataset, [len(dataset) // 3, 2 * len(dataset) // 3])
     cv2.imwrite("datasets/results/contact_sheet.png", sheet[..., ::-1])
@@ -39,19 +46,23 @@ def main() -> None:
     cv2.imwrite("pretrain/results/reconstruction.png", halved)
     draw_learning_curve(Path("rl/results/demo.png"), results["rl"]["evaluations"], "make demo")
     tables = {
-        "demo": demo_table(results, setup_seconds),
+        "demo": demo_table(results, **times),
         "pretrain": pretrain_table(results["pretrain"]),
         "rl": rl_table(results["rl"]),
     }
     for readme in (Path("README.md"), *(Path(stage) / "README.md" for stage in STAGES)):
-        text = readme.read_text()
-        for name, table in tables.items():
-            pattern = rf"(<!-- table: {name} -->\n).*?(<!-- end -->)"
-            text = re.sub(pattern, lambda match, table=table: f"{match[1]}{table}\n{match[2]}", text, flags=re.DOTALL)
-        write_text(readme, text)
+        write_text(readme, replace_tables(readme.read_text(), tables))
 
 
-def demo_table(results: dict, setup_seconds: float) -> str:
+def replace_tables(text: str, tables: dict[str, str]) -> str:
+    """Return a README's text with the tables between markers replaced; those without a marker are left out."""
+    for name, table in tables.items():
+        pattern = rf"(<!-- table: {name} -->\n).*?(<!-- end -->)"
+        text = re.sub(pattern, lambda match, table=table: f"{match[1]}{table}\n{match[2]}", text, flags=re.DOTALL)
+    return text
+
+
+def demo_table(results: dict, setup_seconds: float, total_seconds: float) -> str:
     """Return the figures of all stages."""
     data, encoder, agent = results["datasets"], results["pretrain"], results["rl"]
     figures, last = encoder["validation"], agent["evaluations"][-1]
@@ -73,8 +84,10 @@ def demo_table(results: dict, setup_seconds: float) -> str:
         (
             "policy",
             f"{last['success_rate']:.0%} success in {last['episodes']} episodes (95 % interval {last['ci_low']:.0%} to "
-            f"{last['ci_high']:.0%}) after {last['env_steps']:,} environment steps, {agent['seconds']:.0f} s",
+            f"{last['ci_high']:.0%}) after {last['env_steps']:,} environment steps, {agent['seconds']:.0f} s, "
+            f"{agent['peak_rss_mb']:.0f} MB with its workers",
         ),
+        ("all, with the report", f"{total_seconds:.0f} s"),
     ]
     return "\n".join(["| stage | result |", "|---|---|", *(f"| {name} | {result} |" for name, result in rows)])
 
