@@ -60,13 +60,13 @@ class SamplingConfig:
     """nearest planar depth [m]; from the data's depth if null"""
     far: float | None = None
     """depth beyond which everything is one backdrop [m]; from the data's depth if null"""
-    training_stratified: int = 2
+    training_stratified: int = 4
     """samples a training ray, evenly between near and far"""
-    training_approach: int = 5
+    training_approach: int = 3
     """samples a training ray, on the last stretch before its known depth"""
     approach_reach: float = 0.5
     """length of that stretch [m]"""
-    training_surface: int = 2
+    training_surface: int = 3
     """samples a training ray, around its known depth"""
     surface_deviation: float = 0.02
     """standard deviation of those [m]"""
@@ -120,15 +120,15 @@ class PretrainConfig:
     """frames in a training step"""
     rays_per_scene: int = 64
     """rays drawn over all supervising cameras of a frame"""
-    class_balance: float = 0.6
+    class_balance: float = 0.5
     """rays are drawn with weight (class frequency)^-balance: 0 is uniform, 1 gives every class the same share"""
-    change_boost: float = 8.0
+    change_boost: float = 4.0
     """rays of fixed cameras are drawn with weight 1 + boost x (share of frames in which its class is unusual)"""
     steps: int = 4000
     """training steps"""
     max_minutes: float | None = None
     """wall-clock budget; the learning-rate schedule ends with it"""
-    learning_rate: float = 1.5e-3
+    learning_rate: float = 7e-4
     """peak rate of Adam"""
     steps_per_epoch: int = 250
     """steps between two checkpoints"""
