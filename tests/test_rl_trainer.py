@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.vector import AsyncVectorEnv
-from safetensors.torch import load_file
 from test_rl_envs import point_envs
 
 from nerf_rl.progress import Progress
-from nerf_rl.rl.checkpoint import last_checkpoint, write_tensors
+from nerf_rl.rl.checkpoint import last_checkpoint
 from nerf_rl.rl.config import LearnerConfig, NetworkConfig, NoiseConfig, ReplayConfig, TrainRLConfig
 from nerf_rl.rl.trainer import Trainer
 
@@ -87,12 +86,3 @@ def test_only_the_newest_complete_checkpoint_is_kept(envs: AsyncVectorEnv, tmp_p
     assert last_checkpoint(tmp_path) == tmp_path / "checkpoints" / "00000072"
     assert sorted(path.name for path in (tmp_path / "checkpoints").iterdir()) == ["00000072", "partial"]
     assert {path.suffix for path in tmp_path.rglob("*") if path.is_file()} <= {".csv", ".json", ".safetensors"}
-
-
-def test_a_failed_write_leaves_the_older_file(tmp_path: Path) -> None:
-    write_tensors(tmp_path / "x.safetensors", {"a": torch.ones(2)})
-    shared = torch.ones(4)
-    with pytest.raises(RuntimeError):
-        write_tensors(tmp_path / "x.safetensors", {"a": shared, "b": shared})
-    assert [path.name for path in tmp_path.iterdir()] == ["x.safetensors"]
-    assert torch.equal(load_file(tmp_path / "x.safetensors")["a"], torch.ones(2))

@@ -20,7 +20,16 @@ from nerf_rl.datasets.shard_rendering import (
 from nerf_rl.datasets.shards import MANIFEST, SCHEMA_VERSION, SHARDS, sha256_of
 from nerf_rl.errors import UserError
 from nerf_rl.progress import Progress
-from nerf_rl.runs import check_output, package_versions, plain, prepare_output, read_json, write_json, write_provenance
+from nerf_rl.runs import (
+    SUMMARY,
+    check_output,
+    package_versions,
+    plain,
+    prepare_output,
+    read_json,
+    write_json,
+    write_provenance,
+)
 
 _PLAN = "plan.json"
 
@@ -60,7 +69,7 @@ def generate_dataset(config: GenDatasetConfig) -> None:
         "views_per_second": round(views / seconds, 1),
         "renderer": gl_renderer,
     }
-    write_json(folder / "summary.json", summary)
+    write_json(folder / SUMMARY, summary)
     print(f"{folder}: {summary['frames']} frames, {summary['views']} views, {summary['views_per_second']} views/s")
 
 

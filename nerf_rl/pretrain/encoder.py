@@ -13,6 +13,7 @@ from nerf_rl.pretrain.artefact import DESCRIPTION, WEIGHTS, read_description
 from nerf_rl.pretrain.config import EncoderConfig
 from nerf_rl.pretrain.encoder_rig import EncoderRig
 from nerf_rl.runs import package_versions, write_json
+from nerf_rl.tensor_files import write_tensors
 
 
 class Encoder(nn.Module):
@@ -75,9 +76,7 @@ class Encoder(nn.Module):
 
     def save(self, folder: Path, extra: dict[str, Any]) -> None:
         """Write ``encoder.safetensors`` and ``encoder.json``; ``extra`` joins the description."""
-        from safetensors.torch import save_file
-
-        save_file({name: tensor.contiguous() for name, tensor in self.state_dict().items()}, folder / WEIGHTS)
+        write_tensors(folder / WEIGHTS, self.state_dict())
         description = {
             "format": 1,
             "architecture": asdict(self.config),

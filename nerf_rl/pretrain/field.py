@@ -1,6 +1,5 @@
 """The latent-conditioned radiance field."""
 
-import json
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -11,6 +10,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from nerf_rl.pretrain.config import FieldConfig
+from nerf_rl.runs import read_json, write_json
+from nerf_rl.tensor_files import write_tensors
 
 _DENSITY_SCALE = 10.0  # so that the network's outputs of order one are both empty and solid, at the scene's scale
 
@@ -108,13 +109,7 @@ class RadianceField(nn.Module):
 
     def save(self, folder: Path) -> None:
         """Write ``field.safetensors`` and ``field.json``."""
-        from safetensors.torch import save_file
-
-        from nerf_rl.runs import write_json
-
-        save_file(
-            {name: tensor.contiguous() for name, tensor in self.state_dict().items()}, folder / "field.safetensors"
-        )
+        write_tensors(folder / "field.safetensors", self.state_dict())
         write_json(folder / "field.json", {"config": asdict(self.config), "bounds": asdict(self.bounds), **self.sizes})
 
     @classmethod
@@ -122,7 +117,7 @@ class RadianceField(nn.Module):
         """Read a field that :meth:`save` wrote."""
         from safetensors.torch import load_file
 
-        described = json.loads((folder / "field.json").read_text())
+        described = read_json(folder / "field.json")
         bounds = FieldBounds(**{**described["bounds"], "centre": tuple(described["bounds"]["centre"])})
         sizes = {name: described[name] for name in ("latent", "classes", "teacher_features")}
         field = cls(FieldConfig(**described["config"]), bounds, **sizes)

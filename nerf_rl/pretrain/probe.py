@@ -6,7 +6,7 @@ from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.pretrain.artefact import read_description
 from nerf_rl.pretrain.config import ProbeConfig
 from nerf_rl.pretrain.encoder_rig import EncoderRig
-from nerf_rl.runs import prepare_output, write_json, write_provenance
+from nerf_rl.runs import SUMMARY, prepare_output, write_json, write_provenance
 
 
 def probe(config: ProbeConfig) -> None:
@@ -29,4 +29,4 @@ def probe(config: ProbeConfig) -> None:
     print(result.table())
     if config.out is not None:
         summary = {"probe": result.encoder, "probe_random_encoder": result.random_encoder}
-        write_json(Path(config.out) / "summary.json", summary)
+        write_json(Path(config.out) / SUMMARY, summary)

@@ -8,7 +8,7 @@ from nerf_rl.datasets.shards import SPLIT_NAMES
 from nerf_rl.errors import UserError
 from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.encoder_rig import EncoderRig
-from nerf_rl.runs import peak_rss_mb, prepare_output, require_same_keys, write_json, write_provenance
+from nerf_rl.runs import SUMMARY, peak_rss_mb, prepare_output, require_same_keys, write_json, write_provenance
 from nerf_rl.threads import yield_while_waiting
 
 CHECKPOINT = Path("checkpoints") / "last.ckpt"
@@ -47,7 +47,7 @@ def pretrain(config: PretrainConfig) -> None:
         "probe": result.probe.encoder,
         "probe_random_encoder": result.probe.random_encoder,
     }
-    write_json(folder / "summary.json", summary)
+    write_json(folder / SUMMARY, summary)
     figures = result.validation
     print(
         f"{folder}: {result.steps} steps, PSNR {figures['psnr_db']:.1f} dB, mIoU {figures['miou']:.2f}, "

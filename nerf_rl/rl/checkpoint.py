@@ -11,23 +11,15 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 from torch import Tensor
 
 from nerf_rl.rl.ddpg import DDPG
 from nerf_rl.runs import read_json, write_json
+from nerf_rl.tensor_files import write_tensors
 
 _MODULES = ("norm", "actor", "critic", "target_actor", "target_critic")
 _TENSORS, _FACTS = "state.safetensors", "state.json"
-
-
-def write_tensors(path: Path, tensors: Mapping[str, Tensor]) -> None:
-    """Write tensors whole or not at all: aside, flushed to disk, renamed."""
-    aside = path.with_name(f".{path.name}.partial")
-    save_file({name: tensor.detach().contiguous() for name, tensor in tensors.items()}, aside)
-    with open(aside, "rb") as file:
-        os.fsync(file.fileno())
-    os.replace(aside, path)
 
 
 def last_checkpoint(run: Path) -> Path | None:

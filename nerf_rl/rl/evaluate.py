@@ -7,7 +7,7 @@ import numpy as np
 
 from nerf_rl.rl.artefact import check_policy
 from nerf_rl.rl.config import EvaluateConfig
-from nerf_rl.runs import prepare_output, write_json, write_provenance
+from nerf_rl.runs import SUMMARY, prepare_output, write_json, write_provenance
 
 if TYPE_CHECKING:
     from nerf_rl.rl.policy import Policy
@@ -43,7 +43,7 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
     if config.video:
         _write_video(out / VIDEO, config, policy, seeds[: config.video_episodes])
         summary["video"] = VIDEO
-    write_json(out / "summary.json", summary)
+    write_json(out / SUMMARY, summary)
     rate, low, high = (f"{summary[key]:.0%}" for key in ("success_rate", "ci_low", "ci_high"))
     print(f"success {rate} [{low}, {high}] of {config.episodes} episodes, return {summary['mean_return']:.0f}")
     return summary

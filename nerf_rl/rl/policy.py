@@ -11,12 +11,12 @@ from safetensors.torch import load_file
 from torch import nn
 
 from nerf_rl.rl.artefact import POLICY_DESCRIPTION, POLICY_WEIGHTS, check_policy
-from nerf_rl.rl.checkpoint import write_tensors
 from nerf_rl.rl.config import NetworkConfig
 from nerf_rl.rl.envs import EnvSpec
 from nerf_rl.rl.networks import Actor
 from nerf_rl.rl.normalisation import RunningNorm
 from nerf_rl.runs import package_versions, write_json
+from nerf_rl.tensor_files import write_tensors
 
 _VERSION = 1
 

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any
 from nerf_rl.progress import Progress
 from nerf_rl.rl.artefact import check_encoder_scene, encoder_digest
 from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
-from nerf_rl.runs import peak_rss_mb, prepare_output, require_same_keys, write_json, write_provenance
+from nerf_rl.runs import SUMMARY, peak_rss_mb, prepare_output, require_same_keys, write_json, write_provenance
 
 if TYPE_CHECKING:
     from nerf_rl.rl.envs import EnvSpec
     from nerf_rl.rl.trainer import Trainer
 
-SUMMARY, CURVE = "summary.json", "learning_curve.png"
+CURVE = "learning_curve.png"
 
 
 def train_rl(config: TrainRLConfig) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.errors import MissingFileError, OutputExistsError
 from nerf_rl.pretrain.artefact import read_description
 from nerf_rl.rl.artefact import check_policy
-from nerf_rl.runs import PROVENANCE, read_json, write_text
+from nerf_rl.runs import PROVENANCE, SUMMARY, read_json, write_text
 from nerf_rl.tools.config import ReportConfig
 from nerf_rl.tools.page import Page
 
@@ -46,9 +46,9 @@ def write_report(config: ReportConfig) -> None:
 
 
 def _summary(folder: Path) -> dict[str, Any]:
-    path = folder / "summary.json"
+    path = folder / SUMMARY
     if not path.is_file():
-        raise MissingFileError("a finished run", folder, "it holds no summary.json", "finish it with --resume true")
+        raise MissingFileError("a finished run", folder, f"it holds no {SUMMARY}", "finish it with --resume true")
     return read_json(path)
 
 
