@@ -29,7 +29,7 @@ seed: 3
 
 TINY_PRETRAINING = """
 encoder: {latent: 8, patch: 4, channels: [8, 16], hidden: 16}
-radiance_field: {width: 16, layers: 2, frequencies: 2, plane_size: 8, plane_features: 2}
+radiance_field: {width: 16, layers: 2, frequencies: 4, plane_size: 8, plane_features: 2}
 sampling: {rendering_stratified: 6, rendering_importance: 4}
 scenes_per_step: 2
 rays_per_scene: 8

@@ -93,6 +93,33 @@ def test_a_points_value_does_not_depend_on_the_points_beside_it(field: RadianceF
         torch.testing.assert_close(alone[1][:, 0], features[:, i])
 
 
+def test_moving_frames_see_finer_octaves_as_the_field_is_sharpened(field: RadianceField):
+    points, latent = points_and_latents()
+    sharp = field(points, latent)
+    field.sharpen(0.0)
+    assert field.octave_weights.tolist() == [1.0, 1.0, 0.0]
+    blurred = field(points, latent)
+    assert not torch.isclose(blurred[0], sharp[0]).all()
+    field.sharpen(0.5)
+    torch.testing.assert_close(field.octave_weights, torch.tensor([1.0, 1.0, 0.5]))
+    field.sharpen(1.0)
+    for now, then in zip(field(points, latent), sharp, strict=True):
+        torch.testing.assert_close(now, then, atol=0, rtol=0)
+
+
+def test_a_blurred_field_still_sees_fine_octaves_where_nothing_moves(field: RadianceField):
+    """Only moving frames wait: with their inputs removed, sharpening changes nothing."""
+    points, latent = points_and_latents()
+    still = 3 + 6 * field.config.frequencies
+    moving = still * field.config.moving_frames
+    with torch.no_grad():
+        field.layers[0].weight[:, still : still + moving] = 0.0
+    sharp = field(points, latent)
+    field.sharpen(0.0)
+    for blurred, expected in zip(field(points, latent), sharp, strict=True):
+        torch.testing.assert_close(blurred, expected, atol=0, rtol=0)
+
+
 def test_a_stored_field_is_the_same_field(field: RadianceField, tmp_path: Path):
     field.save(tmp_path)
     loaded = RadianceField.load(tmp_path)

@@ -17,7 +17,7 @@ import torch
 from nerf_rl import cli
 from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.pretrain.config import PretrainConfig
-from nerf_rl.pretrain.data import measure
+from nerf_rl.pretrain.data import RayBatches, measure
 from nerf_rl.pretrain.encoder import DESCRIPTION, WEIGHTS, Encoder
 from nerf_rl.pretrain.encoder_rig import EncoderRig
 from nerf_rl.pretrain.field import RadianceField
@@ -201,6 +201,23 @@ def test_the_learning_rate_rises_and_then_falls_along_a_cosine(
     assert factors[-1] == pytest.approx(0.02, abs=1e-6)
     middle = peak + (1000 - peak) // 2
     assert factors[middle] == pytest.approx(0.02 + 0.98 * (0.5 + 0.5 * math.cos(math.pi / 2)), abs=2e-3)
+
+
+def test_training_sharpens_the_field_up_to_the_share_asked_for(
+    tiny_dataset: Path, tiny_pretraining_recipe: Path, monkeypatch: pytest.MonkeyPatch
+):
+    module = make_module(tiny_dataset, tiny_pretraining_recipe, steps=1000, sharp_at=0.5)
+    monkeypatch.setattr(SnerlModule, "log_dict", lambda *_, **__: None)
+    monkeypatch.setattr(SnerlModule, "log", lambda *_, **__: None)
+    batch = RayBatches(module._dataset, module.config, measure(module._dataset, module.config))[0]
+    weights = []
+    for step in (0, 100, 250, 400, 500, 999):
+        monkeypatch.setattr(SnerlModule, "global_step", step)
+        module.training_step(batch, step)
+        weights.append(float(module.field.octave_weights.sum()))
+    octaves = module.config.radiance_field.frequencies
+    assert weights[0] == 2.0 and weights[-2:] == [octaves, octaves]
+    assert (np.diff(weights[:-1]) > 0).all()
 
 
 def test_a_budget_of_time_ends_the_schedule_before_the_steps_do(

@@ -130,6 +130,8 @@ class PretrainConfig:
     """wall-clock budget; the learning-rate schedule ends with it"""
     learning_rate: float = 7e-4
     """peak rate of Adam"""
+    sharp_at: float = 0.4
+    """share of the run after which moving frames see all octaves of a point; before, the finer ones open one by one"""
     steps_per_epoch: int = 250
     """steps between two checkpoints"""
     epochs_per_validation: int = 4
@@ -163,6 +165,8 @@ class PretrainConfig:
                 raise UserError(f"--{name} must be at least 1, got {getattr(self, name)}")
         if self.learning_rate <= 0:
             raise UserError(f"--learning_rate must be positive, got {self.learning_rate}")
+        if not 0 < self.sharp_at <= 1:
+            raise UserError(f"--sharp_at must be in (0, 1], got {self.sharp_at}")
         if self.max_minutes is not None and self.max_minutes <= 0:
             raise UserError(f"--max_minutes must be positive, got {self.max_minutes}")
 

@@ -13,6 +13,7 @@ from nerf_rl.pretrain.config import FieldConfig
 from nerf_rl.runs import read_json, write_json
 from nerf_rl.tensor_files import write_tensors
 
+_COARSE_OCTAVES = 2  # that moving frames always see
 _DENSITY_SCALE = 10.0  # so that the network's outputs of order one are both empty and solid, at the scene's scale
 
 
@@ -35,10 +36,12 @@ class RadianceField(nn.Module):
 
     Most of a scene never changes, so three static feature planes hold what is common to all scenes (table, walls). What
     does change mostly moves as a whole, so points are also encoded relative to a few frames whose origins are linear
-    in z:
-    a drawer that slides is then one shape in a moving frame, and its position is easy to read from z. The network sees
-    all of that and z itself. Colours, class logits and teacher features are linear in the features, so they are read
-    once a ray, after compositing, which equals compositing them sample by sample.
+    in z: a drawer that slides is then one shape in a moving frame, and its position is easy to read from z. The network
+    sees all of that and z itself. Colours, class logits and teacher features are linear in the features, so they are
+    read once a ray, after compositing, which equals compositing them sample by sample.
+
+    While training looks for the origins, :meth:`sharpen` holds back the fine octaves in moving frames: with them, an
+    origin that is off by more than half a wavelength has no slope towards the right one.
 
     Args:
         config: sizes.
@@ -49,6 +52,7 @@ class RadianceField(nn.Module):
     """
 
     octaves: Tensor
+    octave_weights: Tensor
     centre: Tensor
 
     def __init__(self, config: FieldConfig, bounds: FieldBounds, latent: int, classes: int, teacher_features: int):
@@ -69,7 +73,18 @@ class RadianceField(nn.Module):
         self.semantic_head = nn.Linear(config.width, classes)
         self.feature_head = nn.Linear(config.width, teacher_features) if teacher_features else None
         self.register_buffer("octaves", torch.pi * 2.0 ** torch.arange(config.frequencies), persistent=False)
+        self.register_buffer("octave_weights", torch.ones(config.frequencies), persistent=False)  # in moving frames
         self.register_buffer("centre", torch.tensor(bounds.centre), persistent=False)
+
+    def sharpen(self, share: float) -> None:
+        """Let moving frames see their coarsest octaves (``share`` 0), all of them (1), or something between.
+
+        Weights are those of BARF (Lin et al. 2021, equation 14), which aligns cameras in the same way. A field that was
+        not told otherwise sees all.
+        """
+        open_octaves = _COARSE_OCTAVES + share * (self.config.frequencies - _COARSE_OCTAVES)
+        part = (open_octaves - torch.arange(self.config.frequencies, device=self.octaves.device)).clamp(0.0, 1.0)
+        self.octave_weights.copy_(0.5 - 0.5 * torch.cos(torch.pi * part))
 
     def forward(
         self, points: Float[Tensor, "B N 3"], latent: Float[Tensor, "B Z"]
@@ -77,11 +92,12 @@ class RadianceField(nn.Module):
         """Return density [1/m] and features at world points [m] of B scenes with N points each."""
         normalised = (points - self.centre) / self.bounds.half_extent
         x = contract(normalised)
-        frames = [x]
+        encoded = [x, *self._positional(x)]
         if self.frame_origins is not None:
             origins = self.frame_origins(latent).reshape(len(latent), 1, -1, 3)
-            frames += (normalised[:, :, None] - origins).clamp(-2.0, 2.0).unbind(2)
-        encoded = [part for frame in frames for part in (frame, *self._positional(frame))]
+            weights = self.octave_weights.repeat(3)
+            for frame in (normalised[:, :, None] - origins).clamp(-2.0, 2.0).unbind(2):
+                encoded += [frame, *(weights * wave for wave in self._positional(frame))]
         hidden = torch.cat([*encoded, self._static(x)], dim=-1)
         for i, layer in enumerate(self.layers):
             hidden = layer(hidden)

@@ -57,6 +57,7 @@ class SnerlModule(lightning.LightningModule):
 
     def training_step(self, batch: RayBatch, step: int) -> Tensor:
         """Return the loss of a step; log every loss by its name."""
+        self.field.sharpen(min(self.progress() / self.config.sharp_at, 1.0))
         generator = torch.Generator(self.device).manual_seed(self.config.seed * 1_000_003 + self.global_step)
         latent = self.encoder(batch.images, batch.projections)
         rendered = render_with_depth(
