@@ -1,9 +1,13 @@
-"""Record one recipe's agents over several seeds: a result file and the table in rl/README.md.
+"""Record one recipe's runs over several seeds: a result file and a README's table.
 
-Run from a checkout's root: .venv/bin/python tools/record_seeds.py runs/demo/agent runs/seeds/agent*
+Run from a checkout's root, with encoders or with agents:
+
+    .venv/bin/python tools/record_seeds.py runs/demo/encoder runs/seeds/encoder*
+    .venv/bin/python tools/record_seeds.py runs/demo/agent runs/seeds/agent*
 """
 
 import argparse
+import sys
 from pathlib import Path
 
 from record_demo import replace_tables
@@ -12,27 +16,51 @@ from nerf_rl.runs import read_json, write_json, write_text
 
 
 def main() -> None:
-    """Copy evaluations with their provenance, in the order given; nothing is left out."""
+    """Copy summaries with their provenance, ordered by seed; nothing is left out."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("runs", nargs="+", type=Path, help="finished run folders of train-rl")
-    seeds = [
+    parser.add_argument("runs", nargs="+", type=Path, help="finished run folders of train-rl, or of pretrain")
+    runs = [
         {**read_json(run / "summary.json"), "provenance": read_json(run / "provenance.json")}
         for run in parser.parse_args().runs
     ]
-    seeds.sort(key=lambda run: run["provenance"]["seed"])
-    write_json(Path("rl/results/demo_seeds.json"), {"runs": seeds})
-    readme = Path("rl/README.md")
-    write_text(readme, replace_tables(readme.read_text(), {"rl-seeds": seeds_table(seeds)}))
+    runs.sort(key=lambda run: run["provenance"]["seed"])
+    commands = {run["provenance"]["command"] for run in runs}
+    if commands not in ({"train-rl"}, {"pretrain"}):
+        sys.exit(f"give runs of train-rl or runs of pretrain, not of {' and '.join(sorted(commands))}")
+    folder, table = ("rl", agents_table) if commands == {"train-rl"} else ("pretrain", encoders_table)
+    write_json(Path(folder) / "results" / "demo_seeds.json", {"runs": runs})
+    readme = Path(folder) / "README.md"
+    write_text(readme, replace_tables(readme.read_text(), {f"{folder}-seeds": table(runs)}))
 
 
-def seeds_table(seeds: list[dict]) -> str:
+def agents_table(runs: list[dict]) -> str:
     """Return a row for each seed: success at each evaluation."""
-    steps = [evaluation["env_steps"] for evaluation in seeds[0]["evaluations"]]
-    header = ["seed", *(f"{step:,}" for step in steps), "seconds"]
+    steps = [evaluation["env_steps"] for evaluation in runs[0]["evaluations"]]
+    rows = [
+        [f"{evaluation['success_rate']:.0%}" for evaluation in run["evaluations"]] + [f"{run['seconds']:.0f}"]
+        for run in runs
+    ]
+    return _table(["seed", *(f"{step:,}" for step in steps), "seconds"], runs, rows)
+
+
+def encoders_table(runs: list[dict]) -> str:
+    """Return a row for each seed: images of held-out frames, and the probe."""
+    columns = [name for name in runs[0]["probe"] if not name.startswith("goal")]
+    rows = [
+        [
+            f"{run['validation']['psnr_db']:.1f}",
+            f"{run['validation']['miou']:.2f}",
+            *(f"{run['probe'][name]['rmse_mm']:.1f}" for name in columns),
+        ]
+        for run in runs
+    ]
+    return _table(["seed", "PSNR [dB]", "mIoU", *(f"{name} [mm]" for name in columns)], runs, rows)
+
+
+def _table(header: list[str], runs: list[dict], rows: list[list[str]]) -> str:
     lines = [f"| {' | '.join(header)} |", f"|{'---|' * len(header)}"]
-    for run in seeds:
-        rates = [f"{evaluation['success_rate']:.0%}" for evaluation in run["evaluations"]]
-        lines.append(f"| {' | '.join([str(run['provenance']['seed']), *rates, format(run['seconds'], '.0f')])} |")
+    for run, row in zip(runs, rows, strict=True):
+        lines.append(f"| {' | '.join([str(run['provenance']['seed']), *row])} |")
     return "\n".join(lines)
 
 
