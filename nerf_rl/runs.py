@@ -1,5 +1,6 @@
 """Output folders: what may be written where, and the record of how each result was made."""
 
+import contextlib
 import dataclasses
 import importlib.metadata
 import json
@@ -8,6 +9,7 @@ import resource
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -85,14 +87,27 @@ def _cut_off_early(folder: Path, command: str) -> bool:
     return begun.is_file() and not (folder / SUMMARY).exists() and read_json(begun)["command"] == command
 
 
+@contextlib.contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """Give a place to write a file to, so that the file exists whole or not at all.
+
+    What was written there is flushed to disk and renamed; if writing fails, it is removed, and an older file stays. The
+    place has the file's suffix, since some writers choose the format by it.
+    """
+    aside = path.with_name(f".partial-{path.name}")
+    try:
+        yield aside
+        with open(aside, "rb") as file:
+            os.fsync(file.fileno())
+        os.replace(aside, path)
+    finally:
+        aside.unlink(missing_ok=True)
+
+
 def write_text(path: Path, text: str) -> None:
-    """Write a file so that it exists whole or not at all: aside, flushed to disk, renamed."""
-    aside = path.with_name(f".{path.name}.partial")
-    with open(aside, "w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(aside, path)
+    """Write a text file whole or not at all."""
+    with written_whole(path) as aside:
+        aside.write_text(text, encoding="utf-8")
 
 
 def write_json(path: Path, content: Any) -> None:

@@ -120,7 +120,9 @@ def test_a_blurred_field_still_sees_fine_octaves_where_nothing_moves(field: Radi
         torch.testing.assert_close(blurred, expected, atol=0, rtol=0)
 
 
-def test_a_stored_field_is_the_same_field(field: RadianceField, tmp_path: Path):
+@pytest.mark.parametrize("share", [0.3, 1.0])
+def test_a_stored_field_is_the_same_field(field: RadianceField, tmp_path: Path, share: float):
+    field.sharpen(share)
     field.save(tmp_path)
     loaded = RadianceField.load(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["field.json", "field.safetensors"]

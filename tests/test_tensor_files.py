@@ -6,13 +6,19 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from nerf_rl import tensor_files
 from nerf_rl.tensor_files import write_tensors
 
 
-def test_a_failed_write_leaves_the_older_file(tmp_path: Path) -> None:
+def test_a_failed_write_leaves_the_older_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_tensors(tmp_path / "x.safetensors", {"a": torch.ones(2)})
-    shared = torch.ones(4)
-    with pytest.raises(RuntimeError):
-        write_tensors(tmp_path / "x.safetensors", {"a": shared, "b": shared})
+
+    def fill_the_disk(tensors: dict[str, torch.Tensor], path: Path) -> None:
+        path.write_bytes(b"half a file")
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr(tensor_files, "save_file", fill_the_disk)
+    with pytest.raises(OSError, match="No space left"):
+        write_tensors(tmp_path / "x.safetensors", {"a": torch.zeros(2)})
     assert [path.name for path in tmp_path.iterdir()] == ["x.safetensors"]
     assert torch.equal(load_file(tmp_path / "x.safetensors")["a"], torch.ones(2))

@@ -8,13 +8,14 @@ Run from the root of the checkout that made it, with what `make demo` printed an
 import argparse
 import os
 import re
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import cv2
 
 from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.rl.records import draw_learning_curve
-from nerf_rl.runs import read_json, write_json, write_text
+from nerf_rl.runs import PROVENANCE, SUMMARY, read_json, write_json, write_text
 from nerf_rl.tools.contact_sheet import contact_sheet
 
 STAGES = {
@@ -32,7 +33,7 @@ def main() -> None:
     times = vars(parser.parse_args())
     results = {}
     for stage, folder in STAGES.items():
-        results[stage] = {**read_json(folder / "summary.json"), "provenance": read_json(folder / "provenance.json")}
+        results[stage] = read_result(folder)
         (Path(stage) / "results").mkdir(exist_ok=True)
         write_json(Path(stage) / "results" / "demo.json", results[stage])
     Path("tools/results").mkdir(exist_ok=True)
@@ -52,6 +53,17 @@ def main() -> None:
     }
     for readme in (Path("README.md"), *(Path(stage) / "README.md" for stage in STAGES)):
         write_text(readme, replace_tables(readme.read_text(), tables))
+
+
+def read_result(run: Path) -> dict:
+    """Return the summary of a finished run, with its provenance."""
+    return {**read_json(run / SUMMARY), "provenance": read_json(run / PROVENANCE)}
+
+
+def markdown_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a table."""
+    lines = [f"| {' | '.join(header)} |", f"|{'---|' * len(header)}"]
+    return "\n".join(lines + [f"| {' | '.join(map(str, row))} |" for row in rows])
 
 
 def replace_tables(text: str, tables: dict[str, str]) -> str:
@@ -89,28 +101,34 @@ def demo_table(results: dict, setup_seconds: float, total_seconds: float) -> str
         ),
         ("all, with the report", f"{total_seconds:.0f} s"),
     ]
-    return "\n".join(["| stage | result |", "|---|---|", *(f"| {name} | {result} |" for name, result in rows)])
+    return markdown_table(["stage", "result"], rows)
 
 
 def pretrain_table(summary: dict) -> str:
     """Return the probes and the classes' IoU."""
-    lines = ["| state | RMSE [mm] | R2 | untrained encoder, RMSE [mm] |", "|---|---|---|---|"]
-    for name, figure in summary["probe"].items():
-        untrained = summary["probe_random_encoder"][name]["rmse_mm"]
-        lines.append(f"| {name} | {figure['rmse_mm']:.1f} | {figure['r2']:.3f} | {untrained:.1f} |")
-    lines += ["", "| class | IoU |", "|---|---|"]
-    lines += [f"| {name} | {iou:.2f} |" for name, iou in summary["class_iou"].items()]
-    return "\n".join(lines)
+    untrained = summary["probe_random_encoder"]
+    probes = [
+        (name, f"{figure['rmse_mm']:.1f}", f"{figure['r2']:.3f}", f"{untrained[name]['rmse_mm']:.1f}")
+        for name, figure in summary["probe"].items()
+    ]
+    classes = [(name, f"{iou:.2f}") for name, iou in summary["class_iou"].items()]
+    header = ["state", "RMSE [mm]", "R2", "untrained encoder, RMSE [mm]"]
+    return f"{markdown_table(header, probes)}\n\n{markdown_table(['class', 'IoU'], classes)}"
 
 
 def rl_table(summary: dict) -> str:
     """Return the evaluations during training."""
-    lines = ["| environment steps | success | 95 % interval | episodes | mean return |", "|---|---|---|---|---|"]
-    for e in summary["evaluations"]:
-        interval = f"{e['ci_low']:.0%} to {e['ci_high']:.0%}"
-        row = (f"{e['env_steps']:,}", f"{e['success_rate']:.0%}", interval, e["episodes"], f"{e['mean_return']:.0f}")
-        lines.append(f"| {' | '.join(map(str, row))} |")
-    return "\n".join(lines)
+    rows = [
+        (
+            f"{e['env_steps']:,}",
+            f"{e['success_rate']:.0%}",
+            f"{e['ci_low']:.0%} to {e['ci_high']:.0%}",
+            e["episodes"],
+            f"{e['mean_return']:.0f}",
+        )
+        for e in summary["evaluations"]
+    ]
+    return markdown_table(["environment steps", "success", "95 % interval", "episodes", "mean return"], rows)
 
 
 if __name__ == "__main__":

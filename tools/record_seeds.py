@@ -10,20 +10,16 @@ import argparse
 import sys
 from pathlib import Path
 
-from record_demo import replace_tables
+from record_demo import markdown_table, read_result, replace_tables
 
-from nerf_rl.runs import read_json, write_json, write_text
+from nerf_rl.runs import write_json, write_text
 
 
 def main() -> None:
     """Copy summaries with their provenance, ordered by seed; nothing is left out."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("runs", nargs="+", type=Path, help="finished run folders of train-rl, or of pretrain")
-    runs = [
-        {**read_json(run / "summary.json"), "provenance": read_json(run / "provenance.json")}
-        for run in parser.parse_args().runs
-    ]
-    runs.sort(key=lambda run: run["provenance"]["seed"])
+    runs = sorted(map(read_result, parser.parse_args().runs), key=lambda run: run["provenance"]["seed"])
     commands = {run["provenance"]["command"] for run in runs}
     if commands not in ({"train-rl"}, {"pretrain"}):
         sys.exit(f"give runs of train-rl or runs of pretrain, not of {' and '.join(sorted(commands))}")
@@ -37,10 +33,14 @@ def agents_table(runs: list[dict]) -> str:
     """Return a row for each seed: success at each evaluation."""
     steps = [evaluation["env_steps"] for evaluation in runs[0]["evaluations"]]
     rows = [
-        [f"{evaluation['success_rate']:.0%}" for evaluation in run["evaluations"]] + [f"{run['seconds']:.0f}"]
+        [
+            run["provenance"]["seed"],
+            *(f"{evaluation['success_rate']:.0%}" for evaluation in run["evaluations"]),
+            f"{run['seconds']:.0f}",
+        ]
         for run in runs
     ]
-    return _table(["seed", *(f"{step:,}" for step in steps), "seconds"], runs, rows)
+    return markdown_table(["seed", *(f"{step:,}" for step in steps), "seconds"], rows)
 
 
 def encoders_table(runs: list[dict]) -> str:
@@ -48,20 +48,14 @@ def encoders_table(runs: list[dict]) -> str:
     columns = [name for name in runs[0]["probe"] if not name.startswith("goal")]
     rows = [
         [
+            run["provenance"]["seed"],
             f"{run['validation']['psnr_db']:.1f}",
             f"{run['validation']['miou']:.2f}",
             *(f"{run['probe'][name]['rmse_mm']:.1f}" for name in columns),
         ]
         for run in runs
     ]
-    return _table(["seed", "PSNR [dB]", "mIoU", *(f"{name} [mm]" for name in columns)], runs, rows)
-
-
-def _table(header: list[str], runs: list[dict], rows: list[list[str]]) -> str:
-    lines = [f"| {' | '.join(header)} |", f"|{'---|' * len(header)}"]
-    for run, row in zip(runs, rows, strict=True):
-        lines.append(f"| {' | '.join([str(run['provenance']['seed']), *row])} |")
-    return "\n".join(lines)
+    return markdown_table(["seed", "PSNR [dB]", "mIoU", *(f"{name} [mm]" for name in columns)], rows)
 
 
 if __name__ == "__main__":

@@ -127,7 +127,7 @@ class PretrainConfig:
     steps: int = 4000
     """training steps"""
     max_minutes: float | None = None
-    """wall-clock budget; the learning-rate schedule ends with it"""
+    """wall-clock budget [minutes]; schedules end with it"""
     learning_rate: float = 7e-4
     """peak rate of Adam"""
     sharp_at: float = 0.4

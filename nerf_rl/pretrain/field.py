@@ -73,14 +73,16 @@ class RadianceField(nn.Module):
         self.semantic_head = nn.Linear(config.width, classes)
         self.feature_head = nn.Linear(config.width, teacher_features) if teacher_features else None
         self.register_buffer("octaves", torch.pi * 2.0 ** torch.arange(config.frequencies), persistent=False)
-        self.register_buffer("octave_weights", torch.ones(config.frequencies), persistent=False)  # in moving frames
+        self.register_buffer(
+            "octave_weights", torch.ones(config.frequencies)
+        )  # in moving frames; stored with what was learnt
         self.register_buffer("centre", torch.tensor(bounds.centre), persistent=False)
 
     def sharpen(self, share: float) -> None:
         """Let moving frames see their coarsest octaves (``share`` 0), all of them (1), or something between.
 
-        Weights are those of BARF (Lin et al. 2021, equation 14), which aligns cameras in the same way. A field that was
-        not told otherwise sees all.
+        Octave k has the weight (1 - cos(pi clamp(a - k, 0, 1))) / 2 with a growing from the number of coarse octaves to
+        that of all, as in BARF (Lin et al. 2021), which aligns cameras in this way. A new field sees all.
         """
         open_octaves = _COARSE_OCTAVES + share * (self.config.frequencies - _COARSE_OCTAVES)
         part = (open_octaves - torch.arange(self.config.frequencies, device=self.octaves.device)).clamp(0.0, 1.0)

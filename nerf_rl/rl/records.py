@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from nerf_rl.runs import write_text
+from nerf_rl.runs import write_text, written_whole
 
 COLUMNS = (
     "env_steps",
@@ -76,6 +76,5 @@ def draw_learning_curve(path: Path, evaluations: list[dict[str, Any]], title: st
     success.set(ylim=(-0.03, 1.03), xlabel="environment steps", ylabel="success rate", title=title)
     returns.plot(steps, [e["mean_return"] for e in evaluations], marker="o", color="tab:orange")
     returns.set(xlabel="environment steps", ylabel="mean return until success")
-    aside = path.with_name(f".{path.name}.partial")
-    figure.savefig(aside, format="png", dpi=120)
-    aside.replace(path)
+    with written_whole(path) as aside:
+        figure.savefig(aside, format="png", dpi=120)

@@ -6,6 +6,8 @@ import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
+from nerf_rl.runs import written_whole
+
 
 def write_mp4(path: Path, frames: UInt8[ndarray, "T H W 3"], frames_per_second: float) -> None:
     """Write a video, whole or not at all; odd sizes are padded by a black row or column, as H.264 needs even ones."""
@@ -13,14 +15,13 @@ def write_mp4(path: Path, frames: UInt8[ndarray, "T H W 3"], frames_per_second: 
 
     padding = [(0, 0), (0, frames.shape[1] % 2), (0, frames.shape[2] % 2), (0, 0)]
     even = np.ascontiguousarray(np.pad(frames, padding))
-    aside = path.with_name(f".partial-{path.name}")
     size = (even.shape[2], even.shape[1])
-    writer = imageio_ffmpeg.write_frames(
-        str(aside), size, fps=frames_per_second, codec="libx264", macro_block_size=1, quality=None,
-        output_params=["-crf", "20", "-preset", "veryfast", "-movflags", "+faststart"],
-    )  # fmt: skip
-    writer.send(None)
-    for frame in even:
-        writer.send(frame)
-    writer.close()
-    aside.replace(path)
+    with written_whole(path) as aside:
+        writer = imageio_ffmpeg.write_frames(
+            str(aside), size, fps=frames_per_second, codec="libx264", macro_block_size=1, quality=None,
+            output_params=["-crf", "20", "-preset", "veryfast", "-movflags", "+faststart"],
+        )  # fmt: skip
+        writer.send(None)
+        for frame in even:
+            writer.send(frame)
+        writer.close()
