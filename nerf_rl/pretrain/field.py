@@ -73,9 +73,8 @@ class RadianceField(nn.Module):
         self.semantic_head = nn.Linear(config.width, classes)
         self.feature_head = nn.Linear(config.width, teacher_features) if teacher_features else None
         self.register_buffer("octaves", torch.pi * 2.0 ** torch.arange(config.frequencies), persistent=False)
-        self.register_buffer(
-            "octave_weights", torch.ones(config.frequencies)
-        )  # in moving frames; stored with what was learnt
+        # in moving frames; stored, since what was learnt goes with them
+        self.register_buffer("octave_weights", torch.ones(config.frequencies))
         self.register_buffer("centre", torch.tensor(bounds.centre), persistent=False)
 
     def sharpen(self, share: float) -> None:
