@@ -25,6 +25,21 @@ ROOT = Path(__file__).parent.parent
         (["--noise.kind", "pnk"], "unknown noise kind 'pnk' (did you mean pink?); available: gaussian, ou, pink"),
         (["--noise.hold_share", "1"], "noise needs hold_share in [0, 1)"),
         (["--replay.beta", "2"], "beta in [0, 1]"),
+        (
+            ["--replay.hindsight", "4"],
+            "--replay.hindsight needs a scene with a goal in its observation; metaworld/drawer",
+        ),
+        (["--replay.hindsight_goals", "past"], "unknown hindsight goals 'past'; available: future, random"),
+        (["--panda.control", "joint"], "unknown control 'joint' (did you mean joints?); available: ee, joints"),
+        (["--algo", "sac"], "unknown algorithm 'sac'; available: ddpg, ppo, sb3-ddpg"),
+        (["--algo", "sb3-ddpg"], "--algo sb3-ddpg has no pink noise; use --noise.kind gaussian or ou"),
+        (["--ppo.activation", "gelu"], "unknown activation 'gelu'"),
+        (["--ppo.gamma", "2"], "--ppo.gamma must be in [0, 1], got 2.0"),
+        (["--episodes", "-1"], "--episodes must not be negative, got -1"),
+        (
+            ["--scene", "panda/push"],
+            "unknown scene 'panda/push'; available: metaworld/TASK, for example metaworld/drawer-open",
+        ),
         (["--seeds", "3"], "unknown key 'seeds' (did you mean seed"),
         (
             ["--scene", "metaworld/drawer-opn-v3"],

@@ -5,8 +5,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from nerf_rl.errors import UnknownNameError, UserError
+from nerf_rl.rl.baselines.config import PPOConfig
 
 NO_ENCODER = "none"
+ALGORITHMS = ("ddpg", "ppo", "sb3-ddpg")
 
 
 @dataclass
@@ -73,10 +75,17 @@ class ReplayConfig:
     """exponent of the importance weights at the start; it grows linearly to 1 at the last step"""
     epsilon: float = 0.01
     """added to each absolute error, so that no transition is forgotten"""
+    hindsight: int = 0
+    """copies of each transition with goals that were reached; only for scenes with a goal"""
+    hindsight_goals: str = "future"
+    """reached later in the same episode (future), or at any time in training (random)"""
 
     def __post_init__(self) -> None:
         if self.capacity < 1:
             raise UserError(f"--replay.capacity must be at least 1, got {self.capacity}")
+        _one_of("hindsight goals", self.hindsight_goals, ("future", "random"))
+        if self.hindsight < 0:
+            raise UserError(f"--replay.hindsight must not be negative, got {self.hindsight}")
         if self.alpha < 0 or not 0 <= self.beta <= 1 or self.epsilon <= 0:
             raise UserError("replay needs alpha >= 0, beta in [0, 1] and epsilon > 0")
 
@@ -127,6 +136,24 @@ class LearnerConfig:
 
 
 @dataclass
+class PandaReachConfig:
+    """The scene panda/reach; the keys do nothing in other scenes."""
+
+    control: str = "joints"
+    """joints (7 actions, changes of joint angles) or ee (3 actions, displacements of the end-effector)"""
+    reward: str = "dense"
+    """dense (minus the distance), bonus (dense, and 1 on arrival) or sparse (1 on arrival)"""
+    observation: str = "full"
+    """paper (joint angles, position, goal), panda-gym (velocity, position, goal) or full (all of them and
+    the displacement from position to goal)"""
+
+    def __post_init__(self) -> None:
+        _one_of("control", self.control, ("joints", "ee"))
+        _one_of("reward", self.reward, ("dense", "bonus", "sparse"))
+        _one_of("observation", self.observation, ("full", "paper", "panda-gym"))
+
+
+@dataclass
 class TrainRLConfig:
     """Keys of ``nerf-rl train-rl``."""
 
@@ -135,9 +162,13 @@ class TrainRLConfig:
     encoder: str = NO_ENCODER
     """run folder of pretrain, exported encoder or Lightning .ckpt; none observes the true state"""
     scene: str = "metaworld/drawer-open-v3"
-    """metaworld/TASK; with an encoder it must be the encoder's scene"""
+    """metaworld/TASK, or panda/reach (extra panda); with an encoder it must be the encoder's scene"""
+    panda: PandaReachConfig = field(default_factory=PandaReachConfig)
+    """panda/reach only"""
     env_steps: int = 50_000
     """environment steps of training, over all environments and with action repeats counted"""
+    episodes: int = 0
+    """training episodes after which training ends, if env_steps have not ended it before; 0 for no such limit"""
     action_repeat: int = 2
     """environment steps for which an action is held"""
     episode_steps: int = 200
@@ -162,6 +193,13 @@ class TrainRLConfig:
     """episodes of the last evaluation"""
     checkpoint_every: int = 10_000
     """environment steps between checkpoints"""
+    log_every: int = 1_000
+    """environment steps between rows of metrics.csv"""
+    algo: str = "ddpg"
+    """ddpg (ours), or by Stable-Baselines3 (extra sb3): ppo, with the keys of ppo, or sb3-ddpg, with those of
+    learner, noise and replay that it shares"""
+    ppo: PPOConfig = field(default_factory=PPOConfig)
+    """ppo only"""
     seed: int = 0
     """seed of everything random"""
     threads: int = 1
@@ -172,23 +210,27 @@ class TrainRLConfig:
     """replace an existing run"""
 
     def __post_init__(self) -> None:
+        _one_of("algorithm", self.algo, ALGORITHMS)
         counts = "env_steps action_repeat episode_steps envs evaluation_every evaluation_episodes"
-        for name in f"{counts} final_evaluation_episodes checkpoint_every threads".split():
+        for name in f"{counts} final_evaluation_episodes checkpoint_every log_every threads".split():
             if getattr(self, name) < 1:
                 raise UserError(f"--{name} must be at least 1, got {getattr(self, name)}")
-        if self.warmup_steps < 0 or self.seed < 0:
-            raise UserError("--warmup_steps and --seed must not be negative")
+        for name in ("episodes", "warmup_steps", "seed"):
+            if getattr(self, name) < 0:
+                raise UserError(f"--{name} must not be negative, got {getattr(self, name)}")
         if self.warmup_steps >= self.env_steps:
             raise UserError(
                 f"--warmup_steps {self.warmup_steps} leaves nothing of --env_steps {self.env_steps} to learn in"
             )
+        if self.algo == "sb3-ddpg" and self.noise.kind == "pink":
+            raise UserError("--algo sb3-ddpg has no pink noise; use --noise.kind gaussian or ou")
         if self.episode_steps < self.action_repeat:
             raise UserError(f"--episode_steps {self.episode_steps} is less than --action_repeat {self.action_repeat}")
 
     def content(self) -> dict[str, Any]:
         """Return the keys that must not change when a run is resumed."""
-        free = "out resume overwrite env_steps threads checkpoint_every evaluation_every evaluation_episodes"
-        free += " final_evaluation_episodes"
+        free = "out resume overwrite env_steps episodes threads checkpoint_every evaluation_every evaluation_episodes"
+        free += " final_evaluation_episodes log_every"
         return {key: value for key, value in dataclasses.asdict(self).items() if key not in free.split()}
 
 

@@ -1,9 +1,10 @@
 """From a scene's name to the environments that agents act in: observation, action repeat, time limit, processes."""
 
+import dataclasses
 import functools
 import multiprocessing
 import signal
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import gymnasium
@@ -11,10 +12,13 @@ import numpy as np
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 from numpy import ndarray
 
-from nerf_rl.datasets.scenes import Scene, make_scene
+from nerf_rl.datasets.scenes import METAWORLD, Scene, make_scene
 from nerf_rl.errors import UserError
 from nerf_rl.gl import use_one_software_thread
 from nerf_rl.rl.artefact import compare_scenes
+from nerf_rl.rl.config import PandaReachConfig
+from nerf_rl.rl.goals import GoalTask
+from nerf_rl.rl.panda_reach import PANDA_REACH, PandaReach, reach_task
 
 
 @dataclass(frozen=True)
@@ -22,13 +26,25 @@ class EnvSpec:
     """What decides an agent's environment; picklable, so that worker processes can build it."""
 
     scene: str
-    """metaworld/TASK"""
+    """metaworld/TASK or panda/reach"""
     encoder: str | None
     """path of the encoder, or None to observe the true state"""
     action_repeat: int
     """environment steps for which an action is held"""
     episode_steps: int
     """environment steps after which an episode is truncated"""
+    panda: PandaReachConfig = field(default_factory=PandaReachConfig)
+    """panda/reach only"""
+
+    @property
+    def goal_task(self) -> GoalTask | None:
+        """What hindsight needs to know of the task; None for scenes whose goals cannot be exchanged."""
+        return reach_task(self.panda) if self.scene == PANDA_REACH else None
+
+
+def spec_from_json(content: dict[str, Any]) -> EnvSpec:
+    """Return the specification behind ``dataclasses.asdict(spec)``."""
+    return EnvSpec(**{**content, "panda": PandaReachConfig(**content["panda"])})
 
 
 class ActionRepeat(gymnasium.Wrapper):
@@ -75,8 +91,8 @@ class StateObservation(gymnasium.ObservationWrapper):
         return observation.astype(np.float32)
 
 
-def make_env(spec: EnvSpec, encoder: Any = None) -> tuple[gymnasium.Env, Scene]:
-    """Return an agent's environment in this process, and the scene behind it.
+def make_env(spec: EnvSpec, encoder: Any = None) -> tuple[gymnasium.Env, Scene | None]:
+    """Return an agent's environment in this process, and the MuJoCo scene behind it (None for panda/reach).
 
     Args:
         spec: what to build.
@@ -85,12 +101,14 @@ def make_env(spec: EnvSpec, encoder: Any = None) -> tuple[gymnasium.Env, Scene]:
     Raises:
         UserError: no such scene, an episode longer than the scene allows, an encoder of another scene.
     """
+    if spec.scene != PANDA_REACH and not spec.scene.startswith(METAWORLD):
+        available = f"{METAWORLD}TASK, for example {METAWORLD}drawer-open-v3, and {PANDA_REACH}"
+        raise UserError(f"unknown scene '{spec.scene}'; available: {available}")
     use_one_software_thread()
-    scene = make_scene(spec.scene)
-    _check_episode(spec, scene)
-    env: gymnasium.Env = gymnasium.wrappers.TimeLimit(scene.env, spec.episode_steps)
-    env = ActionRepeat(env, spec.action_repeat)
-    if spec.encoder is None:
+    scene = None if spec.scene == PANDA_REACH else _make_scene(spec)
+    env: gymnasium.Env = PandaReach(spec.panda) if scene is None else scene.env
+    env = ActionRepeat(gymnasium.wrappers.TimeLimit(env, spec.episode_steps), spec.action_repeat)
+    if scene is None or spec.encoder is None:
         return StateObservation(env), scene
     from nerf_rl.rl.observation import LatentObservation  # it loads torch, which a state worker does without
 
@@ -101,10 +119,9 @@ def make_env(spec: EnvSpec, encoder: Any = None) -> tuple[gymnasium.Env, Scene]:
 
 def check_scene(spec: EnvSpec) -> tuple[str, ...]:
     """Return the names of a scene's proprioception; raise UserError if the scene or its episode cannot be."""
-    scene = make_scene(spec.scene)
-    _check_episode(spec, scene)
-    scene.env.close()
-    return scene.proprio_names
+    env, scene = make_env(dataclasses.replace(spec, encoder=None))
+    env.close()
+    return () if scene is None else scene.proprio_names
 
 
 def make_vector_env(spec: EnvSpec, count: int) -> AsyncVectorEnv:
@@ -113,7 +130,7 @@ def make_vector_env(spec: EnvSpec, count: int) -> AsyncVectorEnv:
     They never reset themselves (Gymnasium's ``AutoresetMode.DISABLED``): a step always returns the true observation
     after it, also the last of an episode, and the caller starts episodes with :func:`reset_some`, seed by seed.
     """
-    worker = functools.partial(_make_worker_env, spec)
+    worker = functools.partial(make_worker_env, spec)
     return AsyncVectorEnv([worker] * count, context="spawn", autoreset_mode=AutoresetMode.DISABLED)
 
 
@@ -129,15 +146,18 @@ def reset_some(envs: gymnasium.vector.VectorEnv, which: ndarray, seeds: list[int
     return observations
 
 
-def _check_episode(spec: EnvSpec, scene: Scene) -> None:
+def _make_scene(spec: EnvSpec) -> Scene:
+    scene = make_scene(spec.scene)
     longest = getattr(scene.env.unwrapped, "max_path_length", None)
     if longest is not None and spec.episode_steps > longest:
         raise UserError(
             f"--episode_steps {spec.episode_steps} is more than the {longest} steps that {spec.scene} allows"
         )
+    return scene
 
 
-def _make_worker_env(spec: EnvSpec) -> gymnasium.Env:
+def make_worker_env(spec: EnvSpec) -> gymnasium.Env:
+    """Return an agent's environment in a worker process of its own, which leaves Ctrl-C to its parent."""
     if multiprocessing.parent_process() is not None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the learner's to handle; it closes the workers
         if spec.encoder is not None:

@@ -1,4 +1,7 @@
-"""Actor and critic: two hidden layers of 256 and 400 units, the action joining the critic after the first."""
+"""Actor and critic of DDPG, the action joining the critic after its first layer; and the plain actor of baselines."""
+
+import itertools
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -68,3 +71,35 @@ class Critic(nn.Module):
         """Return the value, without a trailing dimension, so that it meets weights [B] element by element."""
         hidden = self.join(torch.cat([self.observe(observation), action], dim=-1))
         return self.head(hidden).squeeze(-1)
+
+
+@dataclass(frozen=True)
+class LayeredConfig:
+    """A plain multi-layer actor, as the baselines export it."""
+
+    hidden: list[int]
+    """widths of the hidden layers"""
+    activation: str
+    """tanh or relu, after each hidden layer"""
+    bound: str
+    """what keeps actions in [-1, 1]: tanh or clip"""
+    observation_limit: float | None
+    """magnitude beyond which standardised observations are cut off"""
+
+
+class LayeredActor(nn.Module):
+    """Deterministic policy: standardised observation [B, O] to action [B, A] in [-1, 1]."""
+
+    def __init__(self, observation_size: int, action_size: int, config: LayeredConfig):
+        super().__init__()
+        limit, sizes = config.observation_limit, [observation_size, *config.hidden]
+        activation = {"tanh": nn.Tanh, "relu": nn.ReLU}[config.activation]
+        self.layers = nn.Sequential(nn.Identity() if limit is None else nn.Hardtanh(-limit, limit))
+        for before, after in itertools.pairwise(sizes):
+            self.layers.extend([nn.Linear(before, after), activation()])
+        self.layers.append(nn.Linear(sizes[-1], action_size))
+        self.layers.append(nn.Tanh() if config.bound == "tanh" else nn.Hardtanh())
+
+    def forward(self, observation: Float[Tensor, "B O"]) -> Float[Tensor, "B A"]:
+        """Return the action."""
+        return self.layers(observation)

@@ -12,13 +12,14 @@ from torch import nn
 
 from nerf_rl.rl.artefact import POLICY_DESCRIPTION, POLICY_WEIGHTS, check_policy
 from nerf_rl.rl.config import NetworkConfig
-from nerf_rl.rl.envs import EnvSpec
-from nerf_rl.rl.networks import Actor
+from nerf_rl.rl.envs import EnvSpec, spec_from_json
+from nerf_rl.rl.networks import Actor, LayeredActor, LayeredConfig
 from nerf_rl.rl.normalisation import RunningNorm
 from nerf_rl.runs import package_versions, write_json
 from nerf_rl.tensor_files import write_tensors
 
-_VERSION = 1
+_VERSION = 2
+_KINDS: dict[type, str] = {NetworkConfig: "ddpg", LayeredConfig: "layered"}
 
 
 @dataclass
@@ -28,7 +29,7 @@ class Policy:
     actor: nn.Sequential
     """standardisation and actor"""
     spec: EnvSpec
-    network: NetworkConfig
+    network: NetworkConfig | LayeredConfig
     observation_size: int
     action_size: int
     proprio_names: list[str]
@@ -46,7 +47,7 @@ class Policy:
         content: dict[str, Any] = {
             "version": _VERSION,
             "env": asdict(self.spec),
-            "network": asdict(self.network),
+            "network": {"kind": _KINDS[type(self.network)], **asdict(self.network)},
             "observation_size": self.observation_size,
             "action_size": self.action_size,
             "proprio_names": self.proprio_names,
@@ -68,14 +69,21 @@ class Policy:
             UserError: no policy there, or the encoder is not the one that it was trained with.
         """
         content = check_policy(run, encoder)
-        network = NetworkConfig(**content["network"])
-        actor = _network(content["observation_size"], content["action_size"], network)
+        description = content["network"]
+        kinds = {kind: network for network, kind in _KINDS.items()}
+        network = kinds[description.pop("kind")](**description)
+        actor = make_actor(content["observation_size"], content["action_size"], network)
         actor.load_state_dict(load_file(run / POLICY_WEIGHTS))
         names = ("observation_size", "action_size", "proprio_names", "encoder_digest", "env_steps")
         kept = {name: content[name] for name in names}
-        return Policy(actor.eval().requires_grad_(False), EnvSpec(**content["env"]), network, **kept)
+        return Policy(actor.eval().requires_grad_(False), spec_from_json(content["env"]), network, **kept)
 
 
-def _network(observation_size: int, action_size: int, config: NetworkConfig) -> nn.Sequential:
-    norm = RunningNorm(observation_size) if config.standardise else nn.Identity()
-    return nn.Sequential(norm, Actor(observation_size, action_size, config))
+def make_actor(observation_size: int, action_size: int, network: NetworkConfig | LayeredConfig) -> nn.Sequential:
+    """Return standardisation and actor, untrained."""
+    if isinstance(network, LayeredConfig):
+        return nn.Sequential(
+            RunningNorm(observation_size, floor=0.0), LayeredActor(observation_size, action_size, network)
+        )
+    norm = RunningNorm(observation_size) if network.standardise else nn.Identity()
+    return nn.Sequential(norm, Actor(observation_size, action_size, network))

@@ -14,6 +14,7 @@ COLUMNS = (
     "seconds",
     "episodes",
     "episode_return",
+    "episode_length",
     "episode_success",
     "noise",
     "beta",

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+from numpy import ndarray
 from torch import Tensor
 from torchrl.data import LazyMemmapStorage, ReplayBuffer
 from torchrl.data.replay_buffers.samplers import PrioritizedSampler, RandomSampler
@@ -103,6 +104,10 @@ class Replay:
         """Draw the observations of a uniform batch."""
         index = torch.randint(len(self), (self._batch_size,), generator=self.generator)
         return self._gather(index)[0]
+
+    def observations(self, index: Int[ndarray, "B"]) -> Float[ndarray, "B O"]:
+        """Return the observations in some rows of memory."""
+        return self._gather(torch.from_numpy(index))[0].numpy()
 
     def update_priority(self, index: Int[Tensor, "B"], error: Float[Tensor, "B"]) -> None:
         """Set the priorities of drawn transitions: |error| + epsilon."""

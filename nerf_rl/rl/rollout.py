@@ -4,12 +4,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
+import gymnasium
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
 from nerf_rl.cameras import intrinsics_from_fovy, look_at
 from nerf_rl.datasets.renderer import MultiViewRenderer
+from nerf_rl.datasets.scenes import Scene
 from nerf_rl.rl.envs import make_env
 from nerf_rl.rl.policy import Policy
 
@@ -48,16 +51,14 @@ def rollout(
     policy = policy or Policy.load(Path(run), encoder)
     env, scene = make_env(policy.spec)
     observe: Any = env if policy.spec.encoder is not None else None
-    renderer = MultiViewRenderer(scene.model, view_size, view_size, 1)
-    intrinsics = intrinsics_from_fovy(45.0, view_size, view_size)[None]
-    pose = look_at(np.array([0.0, 0.68, 0.12]), 1.1, 25.0, -30.0)[None]
+    camera = _Camera(env, scene, view_size)
     view: list[ndarray] = []
     images: list[ndarray] = []
     latents: list[ndarray] = []
     actions, rewards, success = [], [], []
 
     def look() -> None:
-        view.append(renderer.render_rgb(scene.data, intrinsics, pose)[0])
+        view.append(camera.picture())
         if observe is not None:
             images.append(observe.last_images)
             latents.append(observe.last_latent)
@@ -75,7 +76,7 @@ def rollout(
             success.append(bool(info["success"]))
             ended = terminated or truncated or success[-1]
     finally:
-        renderer.close()
+        camera.close()
         env.close()
     return Rollout(
         np.stack(view),
@@ -85,6 +86,32 @@ def rollout(
         np.array(rewards),
         np.array(success),
     )
+
+
+class _Camera:
+    """A view for people: the scene from the side, or what the environment itself renders if it has no MuJoCo scene."""
+
+    def __init__(self, env: gymnasium.Env, scene: Scene | None, size: int):
+        self._env, self._scene, self._size = env, scene, size
+        self._renderer = MultiViewRenderer(scene.model, size, size, 1) if scene is not None else None
+
+    def picture(self) -> UInt8[ndarray, "S S 3"]:
+        """Return what it sees now."""
+        if self._scene is None or self._renderer is None:
+            frame: Any = self._env.render()
+            height, width, _ = frame.shape
+            side = min(height, width)
+            top, left = (height - side) // 2, (width - side) // 2
+            square = frame[top : top + side, left : left + side]
+            return cv2.resize(square, (self._size, self._size), interpolation=cv2.INTER_AREA)
+        intrinsics = intrinsics_from_fovy(45.0, self._size, self._size)[None]
+        pose = look_at(np.array([0.0, 0.68, 0.12]), 1.1, 25.0, -30.0)[None]
+        return self._renderer.render_rgb(self._scene.data, intrinsics, pose)[0]
+
+    def close(self) -> None:
+        """Release the renderer."""
+        if self._renderer is not None:
+            self._renderer.close()
 
 
 def film(episode: Rollout) -> UInt8[ndarray, "T height width 3"]:

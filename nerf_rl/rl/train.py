@@ -1,94 +1,99 @@
 """``nerf-rl train-rl``: from an encoder (or the true state) to a policy."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nerf_rl.errors import UserError
+from nerf_rl.extras import import_extra
 from nerf_rl.progress import Progress
-from nerf_rl.rl.artefact import check_encoder_scene, encoder_digest
+from nerf_rl.rl.artefact import check_encoder_scene
 from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
-from nerf_rl.runs import SUMMARY, peak_rss_mb, prepare_output, require_same_keys, write_json, write_provenance
+from nerf_rl.rl.run_record import RunRecord
+from nerf_rl.runs import prepare_output, require_same_keys, write_provenance
 
 if TYPE_CHECKING:
-    from nerf_rl.rl.envs import EnvSpec
-    from nerf_rl.rl.trainer import Trainer
+    import gymnasium
 
-CURVE = "learning_curve.png"
+    from nerf_rl.rl.envs import EnvSpec
 
 
 def train_rl(config: TrainRLConfig) -> dict[str, Any]:
     """Train an agent into the run folder ``config.out``; return its summary.
 
     Raises:
-        UserError: an unknown scene, an encoder that is missing or of another scene, an existing run, a full disk.
+        UserError: an unknown scene, an encoder that is missing or of another scene, an existing run, a full disk, an
+            extra that is not installed.
     """
     encoder = None if config.encoder == NO_ENCODER else str(Path(config.encoder).resolve())
     if encoder is not None:
         check_encoder_scene(encoder, config.scene)
+    if config.algo != "ddpg":
+        import_extra("stable_baselines3", "sb3", f"--algo {config.algo}")
     run = Path(config.out)
-    resuming = config.resume and _can_resume(run, config)
+    resuming = config.resume and config.algo == "ddpg" and _can_resume(run, config)
 
     from nerf_rl.rl.envs import EnvSpec, check_scene, make_vector_env
 
-    spec = EnvSpec(config.scene, encoder, config.action_repeat, config.episode_steps)
+    spec = EnvSpec(config.scene, encoder, config.action_repeat, config.episode_steps, config.panda)
     proprio_names = check_scene(spec)
+    if config.replay.hindsight and spec.goal_task is None:
+        raise UserError(f"--replay.hindsight needs a scene with a goal in its observation; {config.scene} has none")
     prepare_output(run, config.overwrite, config.resume, resuming, "train-rl")
     write_provenance(run, "train-rl", config)
     print(f"train-rl writes to {run}", flush=True)
 
-    from nerf_rl.rl.trainer import Trainer
-
     envs = make_vector_env(spec, config.envs)
     try:
-        trainer = Trainer(config, envs, run)
-        try:
-            return _train(config, trainer, spec, list(proprio_names if encoder else ()), envs.processes)
-        finally:
-            trainer.replay.close()
+        sizes = (_size(envs.single_observation_space), _size(envs.single_action_space))
+        record = RunRecord(config, spec, sizes, list(proprio_names if encoder else ()))
+        train = _train if config.algo == "ddpg" else _train_baseline
+        return train(config, spec, envs, record)
     finally:
         envs.close(terminate=True)
 
 
-def _train(
-    config: TrainRLConfig, trainer: "Trainer", spec: "EnvSpec", proprio_names: list[str], workers: list[Any]
-) -> dict[str, Any]:
+def _train(config: TrainRLConfig, spec: "EnvSpec", envs: Any, record: RunRecord) -> dict[str, Any]:
     """Alternate training, evaluation and checkpoints; rewrite the policy after each evaluation."""
     from torch import nn
 
-    from nerf_rl.rl.policy import Policy
-    from nerf_rl.rl.records import draw_learning_curve
+    from nerf_rl.rl.trainer import Trainer
 
-    run = Path(config.out)
-    digest = encoder_digest(spec.encoder) if spec.encoder else None
+    trainer = Trainer(config, envs, Path(config.out), spec.goal_task)
     pauses = (config.evaluation_every, config.checkpoint_every)
-    with Progress(config.env_steps, "env steps", done=trainer.env_steps) as progress:
-        while trainer.env_steps < config.env_steps:
-            before = trainer.env_steps
-            trainer.train(progress, min(config.env_steps, *((before // every + 1) * every for every in pauses)))
-            last = trainer.env_steps >= config.env_steps
-            if last or trainer.env_steps // config.evaluation_every > before // config.evaluation_every:
-                result = trainer.evaluate(config.final_evaluation_episodes if last else config.evaluation_episodes)
-                progress.say(describe(result, trainer.seconds))
-                sizes = (trainer.observation_size, trainer.action_size)
-                actor = nn.Sequential(trainer.agent.norm, trainer.agent.actor)
-                Policy(actor, spec, config.network, *sizes, proprio_names, digest, trainer.env_steps).save(run)
-                draw_learning_curve(run / CURVE, trainer.evaluations, config.scene)
-            if last or trainer.env_steps // config.checkpoint_every > before // config.checkpoint_every:
-                trainer.save()
-    summary = summarise(trainer, workers)
-    write_json(run / SUMMARY, summary)  # last, so that a run with a summary is finished
-    return summary
+    try:
+        with Progress(config.env_steps, "env steps", done=trainer.env_steps) as progress:
+            while not trainer.finished:
+                before = trainer.env_steps
+                trainer.train(progress, min(config.env_steps, *((before // every + 1) * every for every in pauses)))
+                last = trainer.finished
+                if last or trainer.env_steps // config.evaluation_every > before // config.evaluation_every:
+                    result = trainer.evaluate(config.final_evaluation_episodes if last else config.evaluation_episodes)
+                    progress.say(describe(result, trainer.seconds))
+                    record.keep(nn.Sequential(trainer.agent.norm, trainer.agent.actor), config.network, trainer)
+                if last or trainer.env_steps // config.checkpoint_every > before // config.checkpoint_every:
+                    trainer.save()
+        return record.finish(trainer, trainer.agent.updates, envs.processes)
+    finally:
+        trainer.replay.close()
 
 
-def summarise(trainer: "Trainer", workers: list[Any]) -> dict[str, Any]:
-    """Return the content of ``summary.json``; memory is the peak of the learner plus those of its workers."""
-    return {
-        "env_steps": trainer.env_steps,
-        "episodes": trainer.episodes,
-        "updates": trainer.agent.updates,
-        "seconds": round(trainer.seconds, 1),
-        "peak_rss_mb": round(peak_rss_mb() + sum(_peak_rss_mb(worker.pid) for worker in workers), 1),
-        "evaluations": trainer.evaluations,
-    }
+def _train_baseline(config: TrainRLConfig, spec: "EnvSpec", envs: Any, record: RunRecord) -> dict[str, Any]:
+    """Let Stable-Baselines3 train; rewrite the policy after each evaluation."""
+    from nerf_rl.rl.baselines.models import layered_config
+    from nerf_rl.rl.baselines.train import BaselineTrainer
+
+    trainer = BaselineTrainer(config, spec, envs, Path(config.out))
+
+    def after_evaluation(result: dict[str, Any], progress: Progress) -> None:
+        progress.say(describe(result, trainer.seconds))
+        record.keep(trainer.actor(), layered_config(config), trainer)
+
+    try:
+        trainer.train(after_evaluation)
+        return record.finish(trainer, trainer.updates, [*envs.processes, *trainer.processes])
+    finally:
+        trainer.close()
 
 
 def describe(result: dict[str, Any], seconds: float) -> str:
@@ -108,10 +113,5 @@ def _can_resume(run: Path, config: TrainRLConfig) -> bool:
     return True
 
 
-def _peak_rss_mb(pid: int) -> float:
-    """Return the peak resident memory of another process [MB]; 0 where Linux's /proc does not tell."""
-    try:
-        status = Path(f"/proc/{pid}/status").read_text()
-    except OSError:
-        return 0.0
-    return next((int(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith("VmHWM")), 0.0)
+def _size(space: "gymnasium.Space") -> int:
+    return math.prod(space.shape or ())

@@ -23,6 +23,8 @@ from nerf_rl.rl.config import TrainRLConfig
 from nerf_rl.rl.ddpg import DDPG
 from nerf_rl.rl.envs import reset_some
 from nerf_rl.rl.episodes import evaluation_seeds, run_episodes, training_seed
+from nerf_rl.rl.goals import GoalTask
+from nerf_rl.rl.hindsight import Hindsight
 from nerf_rl.rl.n_step import NStep
 from nerf_rl.rl.noise import HeldActions, Noise, linear_schedule
 from nerf_rl.rl.records import MetricsLog
@@ -41,12 +43,16 @@ class Trainer:
         config: of the run.
         envs: with autoreset disabled, actions in [-1, 1].
         run: the run folder.
+        goal_task: for hindsight relabelling; without one there is none.
 
     Attributes:
+        episodes: training episodes that have ended or were broken off.
         evaluations: results so far, as in ``summary.json``.
     """
 
-    def __init__(self, config: TrainRLConfig, envs: gymnasium.vector.VectorEnv, run: Path):
+    def __init__(
+        self, config: TrainRLConfig, envs: gymnasium.vector.VectorEnv, run: Path, goal_task: GoalTask | None = None
+    ):
         self._config, self._envs, self._run = config, envs, run
         torch.set_num_threads(config.threads)
         torch.manual_seed(config.seed)
@@ -62,6 +68,8 @@ class Trainer:
         self._noise = Noise(config.noise, count, self.action_size, steps, self._rng)
         self._held = HeldActions(count, self.action_size, config.noise.hold_steps, self._rng)
         self._n_steps = [NStep(learner.n_step, learner.gamma) for _ in range(count)]
+        self._hindsight = self._make_hindsight(goal_task)
+        self._length = np.zeros(count, np.int64)
         self._episode_index, self._returns, self._success = [0] * count, np.zeros(count), np.zeros(count, np.bool_)
         self.env_steps, self.episodes, self._credit = 0, 0, 0.0
         self._seconds_before, self._start = 0.0, time.monotonic()
@@ -75,29 +83,38 @@ class Trainer:
         """Time spent so far, including that before an interruption [s]."""
         return self._seconds_before + time.monotonic() - self._start
 
+    @property
+    def finished(self) -> bool:
+        """Whether the run has had its environment steps, or its episodes."""
+        config = self._config
+        return self.env_steps >= config.env_steps or 0 < config.episodes <= self.episodes
+
     def train(self, progress: Progress, until: int) -> None:
-        """Go on until ``until`` environment steps are done; then the episodes are broken off.
+        """Go on until ``until`` environment steps are done or the run is finished; then the episodes are broken off.
 
         Args:
             progress: advanced by environment steps.
         """
         observation = self._restart(np.ones(self._envs.num_envs, np.bool_))
         last_log, last_updates, last_seconds = self.env_steps, self.agent.updates, self.seconds
-        while self.env_steps < until:
+        while self.env_steps < until and not self.finished:
             before = self.env_steps
             observation = self._step(observation)
             progress.advance(self.env_steps - before)
-            if self.env_steps - last_log >= 1_000 or self.env_steps >= until:
+            if self.env_steps - last_log >= self._config.log_every or self.env_steps >= until or self.finished:
                 rate = (self.agent.updates - last_updates) / max(self.seconds - last_seconds, 1e-9)
                 self._log(rate)
                 last_log, last_updates, last_seconds = self.env_steps, self.agent.updates, self.seconds
         for n_step in self._n_steps:
             self.replay.add(n_step.cut())
+        for hindsight in self._hindsight:
+            self.replay.add(hindsight.cut())
+        self.episodes += int((self._length > 0).sum())
 
     def evaluate(self, episodes: int) -> dict[str, Any]:
         """Run evaluation episodes with the current policy; return and keep the result."""
         result = run_episodes(self._envs, self.agent.act, evaluation_seeds(0, episodes)).summary()
-        self.evaluations.append({"env_steps": self.env_steps, **result})
+        self.evaluations.append({"env_steps": self.env_steps, "training_episodes": self.episodes, **result})
         return self.evaluations[-1]
 
     def save(self) -> None:
@@ -125,12 +142,25 @@ class Trainer:
         self._seconds_before, self.evaluations = facts["seconds"], facts["evaluations"]
         self._rng.bit_generator.state = facts["rng"]
 
+    def _make_hindsight(self, task: GoalTask | None) -> list[Hindsight]:
+        """Return a collector for each environment, or none."""
+        replay, learner = self._config.replay, self._config.learner
+        if not replay.hindsight or task is None:
+            return []
+
+        def draw_goals(count: int) -> ndarray:
+            return task.achieved(self.replay.observations(self._rng.integers(len(self.replay), size=count)))
+
+        draw = draw_goals if replay.hindsight_goals == "random" else None
+        arguments = (task, replay.hindsight, learner.n_step, learner.gamma, self._rng, draw)
+        return [Hindsight(*arguments) for _ in range(self._envs.num_envs)]
+
     def _restart(self, which: ndarray) -> Float[ndarray, "E O"]:
         """Start new episodes where ``which`` [E] is true; return all observations."""
         seeds = [training_seed(self._config.seed, env, index) for env, index in enumerate(self._episode_index)]
         for env in np.flatnonzero(which).tolist():
             self._episode_index[env] += 1
-            self._returns[env], self._success[env] = 0.0, False
+            self._returns[env], self._success[env], self._length[env] = 0.0, False, 0
             self._noise.reset(env)
             self._held.reset(env, self._decayed(self._config.noise.hold_start))
         return reset_some(self._envs, which, seeds)
@@ -145,16 +175,26 @@ class Trainer:
         for env, n_step in enumerate(self._n_steps):
             step = (observation[env], action[env], float(reward[env]), next_observation[env])
             self.replay.add(n_step.push(*step, bool(terminated[env]), bool(truncated[env])))
+        for env, hindsight in enumerate(self._hindsight):
+            ended = bool(terminated[env] or truncated[env])
+            self.replay.add(hindsight.push(observation[env], action[env], next_observation[env], ended))
         self.agent.see(next_observation)
         self.env_steps += int(info["env_steps"].sum())
         self._returns += reward
+        self._length += info["env_steps"]
         self._success |= info["success"].astype(np.bool_)
         done = terminated | truncated
         if not done.any():
             return next_observation
         for env in np.flatnonzero(done).tolist():
             self.episodes += 1
-            self.metrics.gather({"episode_return": self._returns[env], "episode_success": float(self._success[env])})
+            self.metrics.gather(
+                {
+                    "episode_return": self._returns[env],
+                    "episode_length": float(self._length[env]),
+                    "episode_success": float(self._success[env]),
+                }
+            )
         return self._restart(done)
 
     def _explore(self, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E A"]:

@@ -1,0 +1,86 @@
+"""Stable-Baselines3's models from our keys, and their policies as ours."""
+
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3 import DDPG, PPO
+from stable_baselines3.common.noise import NormalActionNoise, OrnsteinUhlenbeckActionNoise
+from stable_baselines3.common.vec_env import VecEnv
+from torch import nn
+
+from nerf_rl.rl.config import TrainRLConfig
+from nerf_rl.rl.networks import LayeredActor, LayeredConfig
+from nerf_rl.rl.normalisation import RunningNorm
+from nerf_rl.rl.policy import make_actor
+
+ACTIVATIONS = {"tanh": nn.Tanh, "relu": nn.ReLU}
+CLIPPED_AT = 10.0  # VecNormalize's own limit of standardised observations
+
+
+def make_model(config: TrainRLConfig, envs: VecEnv) -> PPO | DDPG:
+    """Return an untrained model.
+
+    PPO takes its keys from ``config.ppo``. SB3's DDPG takes what it has in common with ours: ``network.hidden``,
+    ``gamma``, ``tau``, ``critic_rate`` (for both networks), ``batch_size``, ``updates_per_step``, the
+    replay's capacity, the first scale of the noise (SB3's does not fall) and ``warmup_steps``; it replays uniformly.
+    """
+    if config.algo == "ppo":
+        ppo = config.ppo
+        same = "n_steps batch_size n_epochs gamma gae_lambda learning_rate clip_range ent_coef vf_coef max_grad_norm"
+        network = {
+            "net_arch": ppo.hidden,
+            "activation_fn": ACTIVATIONS[ppo.activation],
+            "log_std_init": ppo.log_std_init,
+        }
+        keys = {name: getattr(ppo, name) for name in same.split()}
+        return PPO("MlpPolicy", envs, **keys, policy_kwargs=network, seed=config.seed, device="cpu")
+    learner, actions = config.learner, int(np.prod(envs.action_space.shape or ()))
+    scale = np.full(actions, config.noise.start)
+    kinds: dict[str, Any] = {"gaussian": NormalActionNoise, "ou": OrnsteinUhlenbeckActionNoise}
+    return DDPG(
+        "MlpPolicy",
+        envs,
+        learning_rate=learner.critic_rate,
+        buffer_size=config.replay.capacity,
+        learning_starts=config.warmup_steps // config.action_repeat,
+        batch_size=learner.batch_size,
+        tau=learner.tau,
+        gamma=learner.gamma,
+        train_freq=1,
+        gradient_steps=max(1, round(learner.updates_per_step * envs.num_envs)),
+        action_noise=kinds[config.noise.kind](np.zeros(actions), scale),
+        policy_kwargs={"net_arch": config.network.hidden},
+        seed=config.seed,
+        device="cpu",
+    )
+
+
+def layered_config(config: TrainRLConfig) -> LayeredConfig:
+    """Return what the exported policy's network is made of."""
+    if config.algo == "ppo":
+        limit = CLIPPED_AT if config.ppo.normalise else None
+        return LayeredConfig(config.ppo.hidden, config.ppo.activation, "clip", limit)
+    return LayeredConfig(config.network.hidden, "relu", "tanh", None)
+
+
+def export_actor(model: PPO | DDPG, config: TrainRLConfig) -> nn.Sequential:
+    """Return a copy of the model's deterministic policy, from raw observation [B, O] to action [B, A]."""
+    observation_size = int(np.prod(model.observation_space.shape or ()))
+    action_size = int(np.prod(model.action_space.shape or ()))
+    exported = make_actor(observation_size, action_size, layered_config(config))
+    norm, actor = exported
+    assert isinstance(norm, RunningNorm) and isinstance(actor, LayeredActor)
+    policy: Any = model.policy
+    layers = [*policy.mlp_extractor.policy_net, policy.action_net] if config.algo == "ppo" else policy.actor.mu
+    sources = [layer for layer in layers if isinstance(layer, nn.Linear)]
+    targets = [layer for layer in actor.layers if isinstance(layer, nn.Linear)]
+    for source, target in zip(sources, targets, strict=True):
+        target.load_state_dict(source.state_dict())
+    normaliser = model.get_vec_normalize_env()
+    if normaliser is not None:
+        statistics: Any = normaliser.obs_rms
+        norm.count.fill_(statistics.count)
+        norm.mean.copy_(torch.as_tensor(statistics.mean))
+        norm.squares.copy_(torch.as_tensor((statistics.var + normaliser.epsilon) * statistics.count))
+    return exported.eval().requires_grad_(False)

@@ -1,0 +1,90 @@
+"""Stable-Baselines3's agents behind train-rl: the same run folder, and the exported policy acts as the model did."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from nerf_rl import cli
+from nerf_rl.rl.config import TrainRLConfig
+from nerf_rl.rl.policy import Policy
+
+pytest.importorskip("stable_baselines3", reason="extra sb3")
+
+TINY = ["--env_steps", "240", "--warmup_steps", "40", "--episode_steps", "20", "--envs", "1", "--log_every", "80"]
+TINY += [
+    "--learner.batch_size",
+    "8",
+    "--network.hidden",
+    "[16, 16]",
+    "--replay.capacity",
+    "500",
+    "--noise.kind",
+    "gaussian",
+]
+TINY += ["--evaluation_every", "120", "--evaluation_episodes", "2", "--final_evaluation_episodes", "2"]
+TINY += ["--ppo.n_steps", "32", "--ppo.batch_size", "16", "--ppo.n_epochs", "2", "--ppo.hidden", "[16, 16]"]
+
+
+@pytest.mark.parametrize("algo", ["ppo", "sb3-ddpg"])
+def test_a_baseline_leaves_what_our_own_agent_leaves(algo: str, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    assert cli.main(["train-rl", "--algo", algo, "--out", str(out), *TINY]) == 0
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["env_steps"] == 240
+    assert [e["env_steps"] for e in summary["evaluations"]] == [120, 240]
+    assert summary["episodes"] == 12 and summary["updates"] > 0
+    with open(out / "metrics.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["env_steps"] for row in rows] == ["80", "160", "240"]
+    assert float(rows[-1]["episode_length"]) == 20 and float(rows[-1]["critic_loss"]) > 0
+    assert not [path for path in out.rglob("*") if path.suffix in (".zip", ".pkl", ".pt", ".pth")]
+    assert cli.main(["evaluate", "--run", str(out), "--out", str(tmp_path / "evaluation"), "--episodes", "2"]) == 0
+
+
+@pytest.mark.parametrize(("algo", "normalise"), [("ppo", True), ("ppo", False), ("sb3-ddpg", False)])
+def test_the_exported_policy_acts_as_the_model_does(algo: str, normalise: bool, tmp_path: Path) -> None:
+    from nerf_rl.rl.baselines.models import layered_config
+    from nerf_rl.rl.baselines.train import BaselineTrainer
+    from nerf_rl.rl.config import NoiseConfig
+    from nerf_rl.rl.envs import EnvSpec, make_vector_env
+
+    config = TrainRLConfig(
+        str(tmp_path), algo=algo, env_steps=300, warmup_steps=50, envs=1, noise=NoiseConfig(kind="gaussian"),
+        evaluation_every=300, final_evaluation_episodes=1,
+    )  # fmt: skip
+    config.ppo.n_steps, config.ppo.batch_size, config.ppo.normalise = 64, 32, normalise
+    spec = EnvSpec(config.scene, None, 2, 20)
+    envs = make_vector_env(spec, 1)
+    trainer = BaselineTrainer(config, spec, envs, tmp_path)
+    trainer.train(lambda result, progress: None)
+    Policy(trainer.actor(), spec, layered_config(config), 39, 4, [], None, 300).save(tmp_path)
+    observations = np.random.default_rng(0).normal(scale=0.3, size=(50, 39)).astype(np.float32)
+    normaliser = trainer._sb3.get_vec_normalize_env()
+    seen = observations if normaliser is None else normaliser.normalize_obs(observations)
+    wanted, _ = trainer._sb3.predict(seen, deterministic=True)
+    found = Policy.load(tmp_path).act(observations)
+    assert found == pytest.approx(wanted, abs=2e-5)
+    assert np.abs(wanted).max() > 1e-3
+    trainer.close()
+    envs.close(terminate=True)
+
+
+def test_training_runs_through_all_of_its_environments(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    assert cli.main(["train-rl", "--algo", "ppo", "--out", str(out), *TINY, "--envs", "2"]) == 0
+    assert json.loads((out / "summary.json").read_text())["episodes"] == 12
+    assert torch.isfinite(torch.tensor(Policy.load(out).act(np.zeros((1, 39), np.float32)))).all()
+
+
+def test_a_missing_extra_is_told_in_a_sentence(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    assert cli.main(["train-rl", "--algo", "ppo", "--out", str(tmp_path / "run")]) == 2
+    error = capsys.readouterr().err
+    assert "--algo ppo needs the extra 'sb3'; install it with: pip install 'nerf-rl[sb3]'" in error
+    assert not (tmp_path / "run").exists()
