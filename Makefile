@@ -1,5 +1,6 @@
 # make demo    set up, then the whole chain on drawer-open, ending in runs/demo/report.html
 # make test    set up, then all tests
+# make paper   set up, then the paper's experiments (hours); ends in the tables of rl/README.md
 # Other verbs: setup, format, check, build, clean. Set-up is done once, and again when pyproject.toml changes.
 
 SHELL := /bin/sh
@@ -11,11 +12,11 @@ ENCODER := runs/demo/encoder
 AGENT := runs/demo/agent
 REPORT := runs/demo/report.html
 
-.PHONY: help setup demo format check test build clean
+.PHONY: help setup demo paper format check test build clean
 .DELETE_ON_ERROR:
 
 help:
-	@sed -n 's/^# //p' Makefile | head -3
+	@sed -n 's/^# //p' Makefile | head -4
 
 setup: $(READY)
 
@@ -44,6 +45,11 @@ $(AGENT)/summary.json: | $(ENCODER)/summary.json
 
 $(REPORT): $(DATA)/summary.json $(ENCODER)/summary.json $(AGENT)/summary.json
 	$(call stage,report,--data $(DATA) --encoder $(ENCODER) --agent $(AGENT) --out $(REPORT))
+
+# What is finished is skipped: an interrupted `make paper` goes on where it stopped.
+paper: $(READY)
+	$(BIN)/python tools/run_paper.py
+	$(BIN)/python tools/record_paper.py
 
 format: $(READY)
 	$(BIN)/ruff check --fix-only --quiet .

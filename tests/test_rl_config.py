@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+import yaml
 
 from nerf_rl import cli
 from nerf_rl.errors import UserError
@@ -82,6 +83,19 @@ def test_a_mistake_in_evaluation_keys_is_told_in_a_sentence_and_nothing_is_writt
 def test_shipped_recipes_are_valid(recipe: Path) -> None:
     config = cli.parse("train-rl", ["--config", str(recipe), "--out", "x"])
     assert config.final_evaluation_episodes >= 20
+
+
+EXPERIMENTS = yaml.safe_load((ROOT / "rl" / "paper" / "experiments.yaml").read_text())["experiments"]
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_the_papers_experiments_are_valid(name: str) -> None:
+    experiment = EXPERIMENTS[name]
+    keys = [word for key, value in experiment.get("keys", {}).items() for word in (f"--{key}", str(value))]
+    config = cli.parse("train-rl", ["--config", str(ROOT / experiment["recipe"]), *keys, "--out", "x"])
+    assert config.final_evaluation_episodes >= 20
+    assert len(set(experiment["seeds"])) == len(experiment["seeds"]) >= 3
+    assert {"group", "title", "recipe", "seeds"} <= set(experiment)
 
 
 def test_resuming_with_other_keys_is_refused(tmp_path: Path) -> None:
