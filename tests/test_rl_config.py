@@ -30,7 +30,7 @@ ROOT = Path(__file__).parent.parent
             ["--replay.hindsight", "4"],
             "--replay.hindsight needs a scene with a goal in its observation; metaworld/drawer",
         ),
-        (["--replay.hindsight_goals", "past"], "unknown hindsight goals 'past'; available: future, random"),
+        (["--replay.hindsight_random", "2"], "--replay.hindsight_random must be in [0, 1], got 2.0"),
         (["--panda.control", "joint"], "unknown control 'joint' (did you mean joints?); available: ee, joints"),
         (["--algo", "sac"], "unknown algorithm 'sac'; available: ddpg, ppo, sb3-ddpg"),
         (["--algo", "sb3-ddpg"], "--algo sb3-ddpg has no pink noise; use --noise.kind gaussian or ou"),

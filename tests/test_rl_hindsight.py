@@ -46,7 +46,7 @@ def same(a: Transition, b: Transition) -> bool:
 def test_relabelled_steps_are_those_of_an_episode_that_had_this_goal_from_the_start(kind: str, reward: str) -> None:
     task = reach_task(PandaReachConfig(reward=reward, observation=kind))
     far, goal = np.array([0.0, 0.0, 5.0]), np.array([0.3, 0.0, 0.0])
-    found = relive(task, walk(10, far, kind), draw_goals=lambda count: np.tile(goal, (count, 1)))
+    found = relive(task, walk(10, far, kind), draw_goals=lambda count: np.tile(goal, (count, 1)), random_share=1.0)
     really, n_step, wanted = walk(10, goal, kind), NStep(N, GAMMA), []
     for t in range(10):
         reward_t, reached = task.outcome(task.achieved(really[t + 1]), goal)
@@ -66,6 +66,15 @@ def test_future_goals_were_achieved_at_the_same_step_or_later_in_the_episode() -
         steps = transition.observation[place] / 0.04
         assert steps == pytest.approx(round(steps))
         assert steps >= transition.action[0] + 1
+
+
+def test_a_share_of_the_goals_comes_from_anywhere_in_training() -> None:
+    task, elsewhere = ReachTask("dense", COLUMNS["paper"]), np.array([0.0, 7.0, 0.0])
+    draw = {"draw_goals": lambda count: np.tile(elsewhere, (count, 1)), "random_share": 0.25}
+    transitions = relive(task, walk(50, np.ones(3), "paper"), copies=40, **draw)
+    drawn = [np.allclose(task.with_goal(t.observation, elsewhere), t.observation) for t in transitions]
+    assert np.mean(drawn) == pytest.approx(0.25, abs=0.04)  # 2,000 draws: four standard deviations
+    assert all(t.reward < -6.0 for t, far in zip(transitions, drawn, strict=True) if far)
 
 
 def test_every_step_is_relabelled_as_often_as_asked_and_nothing_leaks_into_the_next_episode() -> None:

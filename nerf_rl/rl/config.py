@@ -77,13 +77,14 @@ class ReplayConfig:
     """added to each absolute error, so that no transition is forgotten"""
     hindsight: int = 0
     """copies of each transition with goals that were reached; only for scenes with a goal"""
-    hindsight_goals: str = "future"
-    """reached later in the same episode (future), or at any time in training (random)"""
+    hindsight_random: float = 0.0
+    """share of these goals that were reached at any time in training; the others were, later in the same episode"""
 
     def __post_init__(self) -> None:
         if self.capacity < 1:
             raise UserError(f"--replay.capacity must be at least 1, got {self.capacity}")
-        _one_of("hindsight goals", self.hindsight_goals, ("future", "random"))
+        if not 0 <= self.hindsight_random <= 1:
+            raise UserError(f"--replay.hindsight_random must be in [0, 1], got {self.hindsight_random}")
         if self.hindsight < 0:
             raise UserError(f"--replay.hindsight must not be negative, got {self.hindsight}")
         if self.alpha < 0 or not 0 <= self.beta <= 1 or self.epsilon <= 0:

@@ -13,18 +13,20 @@ from nerf_rl.rl.n_step import Transition
 class Hindsight:
     """Collects the steps of one environment; at the end of an episode, returns them with other goals.
 
-    For each step ``copies`` goals are drawn, by one of two strategies of Andrychowicz et al. 2017, section 4.5:
-    ``future`` from what the same or a later step of the episode achieved, ``random`` from what was achieved at any time
-    in training. Rewards, terminations and n-step returns are worked out for the new goal, and a relabelled path ends
-    where it reaches it. (TorchRL's ``HERReplayBuffer`` relabels single steps when it draws them and keeps their
-    termination, so it knows neither n-step returns nor an end at the new goal.)
+    For each step ``copies`` goals are drawn, by two strategies of Andrychowicz et al. 2017, section 4.5: ``future``
+    from what the same or a later step of the episode achieved, and a share by ``random`` from what was achieved at any
+    time in training. The first show what leads to a goal, the second what leads away from it. Rewards, terminations and
+    n-step returns are worked out for the new goal, and a relabelled path ends where it reaches it. (TorchRL's
+    ``HERReplayBuffer`` relabels single steps when it draws them and keeps their termination, so it knows neither n-step
+    returns nor an end at the new goal.)
 
     Args:
         task: gives goals and rewards.
         copies: relabelled transitions for each step.
         n, gamma: as in :class:`nerf_rl.rl.n_step.NStep`.
         rng: draws the goals.
-        draw_goals: for ``random``: returns that many achieved goals [count, G]; None for ``future``.
+        draw_goals: returns that many goals achieved at any time in training [count, G]; None for ``future`` alone.
+        random_share: of the goals drawn by it.
     """
 
     def __init__(
@@ -35,9 +37,10 @@ class Hindsight:
         gamma: float,
         rng: np.random.Generator,
         draw_goals: Callable[[int], Float[ndarray, "count G"]] | None = None,
+        random_share: float = 0.0,
     ):
         self._task, self._copies, self._n, self._gamma, self._rng = task, copies, n, gamma, rng
-        self._draw_goals = draw_goals
+        self._draw_goals, self._random_share = draw_goals, random_share
         self._observations: list[ndarray] = []
         self._actions: list[ndarray] = []
         self._next_observations: list[ndarray] = []
@@ -73,9 +76,12 @@ class Hindsight:
 
     def _goals(self, achieved: Float[ndarray, "T G"]) -> Float[ndarray, "T G"]:
         """Draw a goal for each step."""
-        if self._draw_goals is not None:
-            return self._draw_goals(len(achieved))
-        return achieved[self._rng.integers(np.arange(len(achieved)), len(achieved))]
+        length = len(achieved)
+        later = achieved[self._rng.integers(np.arange(length), length)]
+        if self._draw_goals is None:
+            return later
+        elsewhere = self._rng.random((length, 1)) < self._random_share
+        return np.where(elsewhere, self._draw_goals(length), later)
 
     def _relabel(
         self,

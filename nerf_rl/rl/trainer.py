@@ -151,8 +151,8 @@ class Trainer:
         def draw_goals(count: int) -> ndarray:
             return task.achieved(self.replay.observations(self._rng.integers(len(self.replay), size=count)))
 
-        draw = draw_goals if replay.hindsight_goals == "random" else None
-        arguments = (task, replay.hindsight, learner.n_step, learner.gamma, self._rng, draw)
+        draw = (draw_goals, replay.hindsight_random) if replay.hindsight_random else ()
+        arguments = (task, replay.hindsight, learner.n_step, learner.gamma, self._rng, *draw)
         return [Hindsight(*arguments) for _ in range(self._envs.num_envs)]
 
     def _restart(self, which: ndarray) -> Float[ndarray, "E O"]:
