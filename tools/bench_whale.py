@@ -1,6 +1,6 @@
 """Measure the Whale Optimisation Algorithm on F1 to F10, as published and with the minimum moved.
 
-Run from a checkout's root; it writes rl/results/whale_functions.json and the table in rl/README.md (about ten minutes):
+Run from a checkout's root; it writes rl/results/whale_functions.json and the table in rl/README.md (a few minutes):
 
     .venv/bin/python tools/bench_whale.py
 """
