@@ -192,6 +192,8 @@ class TrainRLConfig:
     """episodes of each evaluation but the last"""
     final_evaluation_episodes: int = 20
     """episodes of the last evaluation"""
+    evaluation_to_end: bool = False
+    """go on after an evaluated episode's success, so that mean_return is that of whole episodes"""
     checkpoint_every: int = 10_000
     """environment steps between checkpoints"""
     log_every: int = 1_000
@@ -231,7 +233,7 @@ class TrainRLConfig:
     def content(self) -> dict[str, Any]:
         """Return the keys that must not change when a run is resumed."""
         free = "out resume overwrite env_steps episodes threads checkpoint_every evaluation_every evaluation_episodes"
-        free += " final_evaluation_episodes log_every"
+        free += " final_evaluation_episodes evaluation_to_end log_every"
         return {key: value for key, value in dataclasses.asdict(self).items() if key not in free.split()}
 
 

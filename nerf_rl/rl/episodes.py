@@ -23,9 +23,9 @@ class Episodes:
     success: Bool[ndarray, "N"]
     """at any step"""
     returns: Float[ndarray, "N"]
-    """sum of rewards until success or the end"""
+    """sum of rewards until the episode was stopped"""
     length: Int[ndarray, "N"]
-    """environment steps until success or the end"""
+    """environment steps until the episode was stopped"""
 
     def summary(self) -> dict[str, Any]:
         """Return the counts and rates of ``summary.json``; the interval is Wilson's, 95 %."""
@@ -49,8 +49,8 @@ def training_seed(seed: int, env: int, episode: int) -> int:
     return int(np.random.default_rng([seed, env, episode, 7]).integers(2**31))
 
 
-def run_episodes(envs: gymnasium.vector.VectorEnv, act: Act, seeds: Sequence[int]) -> Episodes:
-    """Run one episode for each seed and stop it at its first success.
+def run_episodes(envs: gymnasium.vector.VectorEnv, act: Act, seeds: Sequence[int], to_end: bool = False) -> Episodes:
+    """Run one episode for each seed and stop it at its first success, or at its end.
 
     An environment that is done takes the next seed, so the result depends neither on their number nor on their speed.
     When seeds run out, an idle environment is stepped along and not counted.
@@ -59,6 +59,7 @@ def run_episodes(envs: gymnasium.vector.VectorEnv, act: Act, seeds: Sequence[int
         envs: with autoreset disabled; running episodes are abandoned.
         act: the deterministic policy.
         seeds: of the episodes.
+        to_end: go on after a success.
     """
     count, waiting = envs.num_envs, list(range(len(seeds)))
     success, length = np.zeros(len(seeds), np.bool_), np.zeros(len(seeds), np.int64)
@@ -82,4 +83,4 @@ def run_episodes(envs: gymnasium.vector.VectorEnv, act: Act, seeds: Sequence[int
             returns[index] += reward[env]
             length[index] += info["env_steps"][env]
             success[index] |= bool(info["success"][env])
-            restart[env] |= success[index]
+            restart[env] |= success[index] and not to_end

@@ -1,6 +1,6 @@
 """What a run leaves behind while it goes on and at its end: policy, learning curve and ``summary.json``."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from nerf_rl.rl.envs import EnvSpec
     from nerf_rl.rl.networks import LayeredConfig
 
+OnEvaluation = Callable[[dict[str, Any]], None]
 CURVE = "learning_curve.png"
 
 
@@ -41,21 +42,32 @@ class RunRecord:
         spec: of its environments.
         sizes: of observation and action.
         proprio_names: what the policy observes beside the latent.
+        on_evaluation: called with each evaluation, after the policy of then has been written.
     """
 
-    def __init__(self, config: TrainRLConfig, spec: "EnvSpec", sizes: tuple[int, int], proprio_names: list[str]):
+    def __init__(
+        self,
+        config: TrainRLConfig,
+        spec: "EnvSpec",
+        sizes: tuple[int, int],
+        proprio_names: list[str],
+        on_evaluation: OnEvaluation | None = None,
+    ):
+        self._on_evaluation = on_evaluation
         self._config, self._spec, self._sizes, self._proprio_names = config, spec, sizes, proprio_names
         self._run = Path(config.out)
         self._digest = encoder_digest(spec.encoder) if spec.encoder else None
 
     def keep(self, actor: "nn.Sequential", network: "NetworkConfig | LayeredConfig", state: TrainingState) -> None:
-        """Write the policy (from raw observations to actions) and draw the learning curve."""
+        """Write the policy (from raw observations to actions), draw the learning curve, tell ``on_evaluation``."""
         from nerf_rl.rl.policy import Policy
         from nerf_rl.rl.records import draw_learning_curve
 
         policy = Policy(actor, self._spec, network, *self._sizes, self._proprio_names, self._digest, state.env_steps)
         policy.save(self._run)
         draw_learning_curve(self._run / CURVE, state.evaluations, self._config.scene)
+        if self._on_evaluation is not None:
+            self._on_evaluation(state.evaluations[-1])
 
     def finish(self, state: TrainingState, updates: int, workers: Sequence[Any]) -> dict[str, Any]:
         """Write and return the summary; memory is the peak of this process plus those of its workers."""

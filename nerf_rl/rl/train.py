@@ -9,7 +9,7 @@ from nerf_rl.extras import import_extra
 from nerf_rl.progress import Progress
 from nerf_rl.rl.artefact import check_encoder_scene
 from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
-from nerf_rl.rl.run_record import RunRecord
+from nerf_rl.rl.run_record import OnEvaluation, RunRecord
 from nerf_rl.runs import prepare_output, require_same_keys, write_provenance
 
 if TYPE_CHECKING:
@@ -18,8 +18,12 @@ if TYPE_CHECKING:
     from nerf_rl.rl.envs import EnvSpec
 
 
-def train_rl(config: TrainRLConfig) -> dict[str, Any]:
+def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -> dict[str, Any]:
     """Train an agent into the run folder ``config.out``; return its summary.
+
+    Args:
+        config: of the run.
+        on_evaluation: called with each evaluation; what it raises ends the training.
 
     Raises:
         UserError: an unknown scene, an encoder that is missing or of another scene, an existing run, a full disk, an
@@ -46,7 +50,7 @@ def train_rl(config: TrainRLConfig) -> dict[str, Any]:
     envs = make_vector_env(spec, config.envs)
     try:
         sizes = (_size(envs.single_observation_space), _size(envs.single_action_space))
-        record = RunRecord(config, spec, sizes, list(proprio_names if encoder else ()))
+        record = RunRecord(config, spec, sizes, list(proprio_names if encoder else ()), on_evaluation)
         train = _train if config.algo == "ddpg" else _train_baseline
         return train(config, spec, envs, record)
     finally:
@@ -101,7 +105,7 @@ def describe(result: dict[str, Any], seconds: float) -> str:
     return (
         f"{result['env_steps']} env steps, {seconds:.0f} s: success {result['success_rate']:.0%} "
         f"[{result['ci_low']:.0%}, {result['ci_high']:.0%}] of {result['episodes']} episodes, "
-        f"return {result['mean_return']:.0f}"
+        f"return {result['mean_return']:.4g}"
     )
 
 

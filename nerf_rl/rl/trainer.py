@@ -113,7 +113,8 @@ class Trainer:
 
     def evaluate(self, episodes: int) -> dict[str, Any]:
         """Run evaluation episodes with the current policy; return and keep the result."""
-        result = run_episodes(self._envs, self.agent.act, evaluation_seeds(0, episodes)).summary()
+        seeds = evaluation_seeds(0, episodes)
+        result = run_episodes(self._envs, self.agent.act, seeds, self._config.evaluation_to_end).summary()
         self.evaluations.append({"env_steps": self.env_steps, "training_episodes": self.episodes, **result})
         return self.evaluations[-1]
 

@@ -122,7 +122,8 @@ class BaselineTrainer(BaseCallback):
                 return actor(torch.from_numpy(observation)).numpy()
 
         episodes = config.final_evaluation_episodes if self.finished else config.evaluation_episodes
-        result = run_episodes(self._evaluation_envs, act, evaluation_seeds(0, episodes)).summary()
+        seeds = evaluation_seeds(0, episodes)
+        result = run_episodes(self._evaluation_envs, act, seeds, config.evaluation_to_end).summary()
         self.evaluations.append({"env_steps": self.env_steps, "training_episodes": self.episodes, **result})
         self._after_evaluation(self.evaluations[-1], self._progress)
 
