@@ -49,6 +49,11 @@ COMMANDS = {
         "nerf_rl.rl.evaluate:evaluate",
         "evaluate a trained policy, with video",
     ),
+    "tune": Command(
+        "nerf_rl.rl.tuning.config:TuneConfig",
+        "nerf_rl.rl.tuning.tune:tune",
+        "search train-rl's keys: whale optimisation, TPE, CMA-ES or random, on many processes and machines",
+    ),
     "report": Command(
         "nerf_rl.tools.config:ReportConfig",
         "nerf_rl.tools.report:write_report",

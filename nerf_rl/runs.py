@@ -18,7 +18,7 @@ import yaml
 from nerf_rl import __version__
 from nerf_rl.errors import OutputExistsError, UserError
 
-_RECORDED_PACKAGES = ("torch", "torchrl", "lightning", "mujoco", "metaworld", "gymnasium", "h5py", "numpy")
+_RECORDED_PACKAGES = ("torch", "torchrl", "lightning", "mujoco", "metaworld", "gymnasium", "h5py", "numpy", "optuna")
 PROVENANCE = "provenance.json"
 SUMMARY = "summary.json"
 

@@ -100,7 +100,7 @@ class WhaleSampler(BaseSampler):
         if not search_space:
             return {}
         trials = study.get_trials(deepcopy=False)
-        slot = _slot(trials[trial.number])
+        slot = slot_of(trials[trial.number])
         assert slot is not None
         position = self._proposed_before(trials, slot, search_space)
         if position is None:
@@ -113,7 +113,7 @@ class WhaleSampler(BaseSampler):
     ) -> Any:
         """Return a random value of a parameter that not all trials have; it depends on the slot and the name only."""
         stored = study.get_trials(deepcopy=False)[trial.number]
-        slot = _slot(stored)
+        slot = slot_of(stored)
         assert slot is not None
         coordinates = self._random(slot, param_name, param_distribution)
         position = {**stored.system_attrs.get(POSITION, {}), param_name: coordinates}
@@ -122,12 +122,12 @@ class WhaleSampler(BaseSampler):
 
     def free_slot(self, trials: list[FrozenTrial]) -> Slot:
         """Return the first slot that no trial holds."""
-        held = {_slot(trial) for trial in trials if trial.state != TrialState.FAIL}
+        held = {slot_of(trial) for trial in trials if trial.state != TrialState.FAIL}
         index = next(i for i in range(len(held) + 1) if divmod(i, self._population) not in held)
         return divmod(index, self._population)
 
     def _is_finished(self, trials: list[FrozenTrial], generation: int) -> bool:
-        finished = {_slot(trial) for trial in trials if trial.state in _FINISHED}
+        finished = {slot_of(trial) for trial in trials if trial.state in _FINISHED}
         return generation < 0 or all((generation, whale) in finished for whale in range(self._population))
 
     def _is_before(self, other: FrozenTrial, trial: FrozenTrial) -> bool:
@@ -136,7 +136,7 @@ class WhaleSampler(BaseSampler):
         A worker may die before its trial has a slot. ``wait`` is to fail such a trial; without it, the trial is passed
         over some seconds after its start.
         """
-        if other.number >= trial.number or other.state != TrialState.RUNNING or _slot(other) is not None:
+        if other.number >= trial.number or other.state != TrialState.RUNNING or slot_of(other) is not None:
             return False
         assert other.datetime_start is not None
         return self._wait is not None or datetime.datetime.now() - other.datetime_start < _PATIENCE
@@ -147,7 +147,7 @@ class WhaleSampler(BaseSampler):
         """Return the position that an earlier, failed trial had in the same slot, if it was in the same space."""
         for trial in trials:
             position = trial.system_attrs.get(POSITION, {})
-            if _slot(trial) == slot and {name: len(position.get(name, ())) for name in space} == {
+            if slot_of(trial) == slot and {name: len(position.get(name, ())) for name in space} == {
                 name: width(distribution) for name, distribution in space.items()
             }:
                 return {name: position[name] for name in space}
@@ -161,10 +161,10 @@ class WhaleSampler(BaseSampler):
         leader = self._leader(trials, generation, direction)
         if leader is None:
             return np.concatenate([self._random(slot, name, distribution) for name, distribution in space.items()])
-        holders = {held: trial for trial in reversed(trials) if (held := _slot(trial)) is not None}
+        holders = {held: trial for trial in reversed(trials) if (held := slot_of(trial)) is not None}
         whales = [(generation - 1, i) for i in range(self._population)]
         positions = np.stack([self._coordinates(holders.get(at), at, space) for at in whales])
-        leading = _slot(leader)
+        leading = slot_of(leader)
         assert leading is not None
         origin = np.concatenate([self._origin(name, distribution) for name, distribution in space.items()])
         done = min(generation - 1, self._iterations - 1) / self._iterations
@@ -183,7 +183,7 @@ class WhaleSampler(BaseSampler):
         earlier = [
             (sign * trial.value, slot, trial.number)
             for trial in trials
-            if trial.state == TrialState.COMPLETE and (slot := _slot(trial)) and slot[0] < generation
+            if trial.state == TrialState.COMPLETE and (slot := slot_of(trial)) and slot[0] < generation
             if trial.value is not None
         ]
         return trials[min(earlier)[2]] if earlier else None
@@ -220,7 +220,7 @@ class WhaleSampler(BaseSampler):
         return encode(distribution, self._start[name]) if name in self._start else [0.5] * width(distribution)
 
 
-def _slot(trial: FrozenTrial) -> Slot | None:
+def slot_of(trial: FrozenTrial) -> Slot | None:
     """Return the slot that a trial has taken."""
     stored = trial.system_attrs.get(SLOT)
     return None if stored is None else (stored[0], stored[1])

@@ -38,6 +38,7 @@ def decode(distribution: BaseDistribution, coordinates: Sequence[float]) -> Any:
     step = getattr(distribution, "step", None)
     if step is not None:
         number = low + round((number - low) / step) * step
+    number = float(f"{number:.12g}")  # without the rounding errors of logarithms, which would show in recipes
     number = min(max(number, low), high)
     return int(number) if isinstance(distribution, IntDistribution) else number
 
