@@ -119,6 +119,14 @@ def test_failed_trials_free_their_slots_for_the_same_proposals() -> None:
     assert len(found) < 28 and all(whole[slot] == params for slot, params in found.items())
 
 
+def test_trials_that_failed_before_they_had_a_position_change_nothing() -> None:
+    study = optuna.create_study(sampler=WhaleSampler(4, 5))
+    for _ in range(20):
+        study.tell(study.ask(), state=TrialState.FAIL)
+        study.optimize(objective, 1)
+    assert proposals(study) == proposals(searched(20))
+
+
 def test_pruned_trials_keep_their_slots_and_do_not_lead() -> None:
     def prunes_the_best(trial: Trial) -> float:
         value = objective(trial)

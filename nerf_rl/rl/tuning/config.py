@@ -109,7 +109,7 @@ class TuneConfig:
     resume: bool = False
     """go on with an interrupted study"""
     overwrite: bool = False
-    """replace an existing output folder"""
+    """replace an existing output folder; a study in a storage elsewhere stays, and is gone on with"""
 
     def __post_init__(self) -> None:
         for name in ("trials", "seeds", "workers"):

@@ -38,10 +38,11 @@ def trial_config(config: TuneConfig, params: Mapping[str, Any], out: str, seed: 
     before = _parse(arguments, values)
     for key, value in elements.items():
         name, _, index = key.rpartition(".")
-        whole = values.setdefault(name, list(value_at(before, name)))
+        whole = list(values.get(name, value_at(before, name)))
         if int(index) >= len(whole):
             raise UserError(f"--space: {key} is beyond the {len(whole)} elements of {name}")
         whole[int(index)] = value
+        values[name] = whole
     return _parse(arguments, {**values, "seed": before.seed + seed})
 
 

@@ -161,7 +161,7 @@ class WhaleSampler(BaseSampler):
         leader = self._leader(trials, generation, direction)
         if leader is None:
             return np.concatenate([self._random(slot, name, distribution) for name, distribution in space.items()])
-        holders = {held: trial for trial in reversed(trials) if (held := slot_of(trial)) is not None}
+        holders = {slot_of(trial): trial for trial in sorted(trials, key=_holds)}
         whales = [(generation - 1, i) for i in range(self._population)]
         positions = np.stack([self._coordinates(holders.get(at), at, space) for at in whales])
         leading = slot_of(leader)
@@ -224,6 +224,11 @@ def slot_of(trial: FrozenTrial) -> Slot | None:
     """Return the slot that a trial has taken."""
     stored = trial.system_attrs.get(SLOT)
     return None if stored is None else (stored[0], stored[1])
+
+
+def _holds(trial: FrozenTrial) -> tuple[bool, bool, int]:
+    """Order the trials of a slot by how much they tell of its position; a failed one may have ended before it had any."""
+    return trial.state != TrialState.FAIL, POSITION in trial.system_attrs, -trial.number
 
 
 def _split(coordinates: Float[ndarray, "D"], space: dict[str, BaseDistribution]) -> dict[str, list[float]]:

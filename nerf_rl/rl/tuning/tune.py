@@ -21,7 +21,15 @@ from nerf_rl.rl.tuning.search import Search, search_of
 from nerf_rl.rl.tuning.storage import open_storage
 from nerf_rl.rl.tuning.supervisor import supervise
 from nerf_rl.rl.tuning.worker import Task
-from nerf_rl.runs import PROVENANCE, plain, prepare_output, read_json, require_same_keys, write_provenance
+from nerf_rl.runs import (
+    PROVENANCE,
+    check_output,
+    plain,
+    prepare_output,
+    read_json,
+    require_same_keys,
+    write_provenance,
+)
 
 _CONTENT, _ITERATIONS = "content", "iterations"
 
@@ -38,12 +46,15 @@ def tune(config: TuneConfig) -> dict[str, Any]:
     trials = trials_of(config, base)
     if base.encoder != NO_ENCODER:
         check_encoder_scene(base.encoder, base.scene)
-    resuming = config.resume and _can_resume(out, config)
+    begun = _is_search(out)
+    if begun and config.resume:
+        require_same_keys(out, {**config.content(), "storage": config.storage, "study": config.study})
+    check_output(out, config.overwrite, config.resume, begun, "tune")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     content = _content(config, base)
     if config.storage:  # a storage that others share is looked at before anything is written
         _join(open_storage(config.storage, out), config, content)
-    prepare_output(out, config.overwrite, config.resume, resuming, "tune")
+    prepare_output(out, config.overwrite, config.resume, begun, "tune")
     write_provenance(out, "tune", config)
     storage = open_storage(config.storage, out)
     study, search = open_study(storage, config, content, search_of(config, trials, base.env_steps))
@@ -109,9 +120,6 @@ def _content(config: TuneConfig, base: TrainRLConfig) -> dict[str, Any]:
     return json.loads(json.dumps({**plain(keys), **{f"train-rl's {key}": value for key, value in run.items()}}))
 
 
-def _can_resume(out: Path, config: TuneConfig) -> bool:
-    """Tell whether the folder holds a search; raise UserError if it is one with other keys."""
-    if not (out / PROVENANCE).is_file() or read_json(out / PROVENANCE)["command"] != "tune":
-        return False
-    require_same_keys(out, {**config.content(), "storage": config.storage, "study": config.study})
-    return True
+def _is_search(out: Path) -> bool:
+    """Tell whether the folder holds a search, finished or not."""
+    return (out / PROVENANCE).is_file() and read_json(out / PROVENANCE)["command"] == "tune"
