@@ -227,7 +227,7 @@ def slot_of(trial: FrozenTrial) -> Slot | None:
 
 
 def _holds(trial: FrozenTrial) -> tuple[bool, bool, int]:
-    """Order the trials of a slot by how much they tell of its position; a failed one may have ended before it had any."""
+    """Order the trials of a slot by how well they tell its position; a failed one may have ended before it had any."""
     return trial.state != TrialState.FAIL, POSITION in trial.system_attrs, -trial.number
 
 

@@ -43,7 +43,10 @@ def supervise(task: Task, workers: int) -> optuna.Study:
     lost.fail(study)
     trials = study.get_trials(deepcopy=False)
     reported, deaths, done = {t.number for t in trials if t.state.is_finished()}, 0, finished(trials)
-    with _Workers(task, workers) as running, Progress(task.trials, "trials", done=done) as progress:
+    with (
+        _Workers(task, min(workers, task.trials - done)) as running,
+        Progress(task.trials, "trials", done=done) as progress,
+    ):
         while finished(trials) < task.trials:
             deaths += running.replace_dead()
             wait_for(running.sentinels, timeout=_PAUSE)
