@@ -110,6 +110,7 @@ def test_a_search_leaves_what_it_promises_and_goes_on(
         (["--trials", "0"], "--trials must be at least 1, got 0"),
         (["--env_steps_total", "10"], "--env_steps_total 10 is less than one trial of 1 x 160 environment steps"),
         (["--storage", "mysql+nodriver://x/y"], "--storage mysql+nodriver://x/y cannot be opened"),
+        (["--storage", "no/such/study.journal"], "cannot be opened: there is no folder no/such"),
         (["--overrides.encoder", "nowhere"], "nowhere is not an encoder: it does not exist"),
     ],
 )

@@ -47,10 +47,12 @@ def open_storage(storage: str, out: Path) -> BaseStorage:
         out: the output folder.
 
     Raises:
-        UserError: the URL cannot be opened, say because its database driver is missing.
+        UserError: it cannot be opened, say because a database driver or the journal's folder is missing.
     """
     if "://" not in storage:
         path = Path(storage) if storage else out / JOURNAL
+        if not path.parent.is_dir():
+            raise UserError(f"--storage {storage} cannot be opened: there is no folder {path.parent}")
         backend: BaseJournalBackend = JournalFileBackend(str(path), lock_obj=KernelLock(path))  # type: ignore[arg-type]
         return JournalStorage(backend)
     try:

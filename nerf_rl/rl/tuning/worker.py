@@ -21,7 +21,7 @@ from nerf_rl.rl.tuning.storage import open_storage
 ERROR = "error"
 FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
 ERRORS_IN_A_ROW = 3
-_PAUSE = 0.1  # [s] between two looks at what others do
+_PAUSE, _DATABASE_PAUSE = 0.1, 0.5  # [s] between two looks at what others do
 
 Objective = Callable[[Trial], float]
 
@@ -60,11 +60,12 @@ def work(task: Task, number: int) -> None:
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     storage = open_storage(task.storage, Path(task.out))
     heart, lost = Heart(storage), LostTrials(storage)
+    pause = _DATABASE_PAUSE if "://" in task.storage else _PAUSE
 
     def wait(study: optuna.Study, trial: FrozenTrial) -> None:
         heart.beat(trial._trial_id)
         lost.fail(study)
-        time.sleep(_PAUSE)
+        time.sleep(pause)
 
     study = optuna.load_study(study_name=task.study, storage=storage)
     study.sampler = task.search.make_sampler((number, len(study.get_trials(deepcopy=False))), wait)
@@ -77,7 +78,7 @@ def work(task: Task, number: int) -> None:
             _run_trial(study, task, heart, storage)
         else:
             lost.fail(study)
-            time.sleep(_PAUSE)
+            time.sleep(pause)
 
 
 def _run_trial(study: optuna.Study, task: Task, heart: Heart, storage: optuna.storages.BaseStorage) -> None:
