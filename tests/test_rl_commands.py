@@ -2,7 +2,9 @@
 
 import csv
 import json
+import multiprocessing
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -18,6 +20,7 @@ from nerf_rl.rl.envs import EnvSpec, make_env
 from nerf_rl.rl.observation import LatentObservation
 from nerf_rl.rl.policy import Policy
 from nerf_rl.rl.rollout import film, rollout
+from nerf_rl.rl.train import train_rl
 from nerf_rl.rl.video import write_mp4
 
 SHORT = ["--env_steps", "120", "--warmup_steps", "40", "--episode_steps", "20", "--learner.batch_size", "8"]
@@ -138,6 +141,22 @@ def test_a_run_on_the_true_state_resumes_and_evaluates(tmp_path: Path) -> None:
     assert [e["env_steps"] for e in summary["evaluations"]] == [80, 120, 140]
     assert rollout(out, view_size=32).images is None
     assert cli.main(["train-rl", "--out", str(out), *SHORT]) == 2
+
+
+def test_whoever_watches_evaluations_may_end_the_training(tmp_path: Path) -> None:
+    seen: list[dict[str, Any]] = []
+
+    def stop(evaluation: dict[str, Any]) -> None:
+        seen.append(evaluation)
+        raise InterruptedError("enough")
+
+    config = cli.parse("train-rl", ["--out", str(tmp_path / "run"), *SHORT, "--envs", "1"])
+    with pytest.raises(InterruptedError, match="enough"):
+        train_rl(config, stop)
+    assert [evaluation["env_steps"] for evaluation in seen] == [80]
+    assert not multiprocessing.active_children()
+    names = {path.name for path in (tmp_path / "run").iterdir()}
+    assert "policy.safetensors" in names and not {"summary.json", "replay"} & names
 
 
 def test_videos_of_odd_size_are_padded(tmp_path: Path) -> None:

@@ -105,22 +105,22 @@ def test_a_vector_step_returns_the_true_last_observation_and_resets_only_who_is_
         envs.close(terminate=True)
 
 
-@pytest.mark.parametrize("count", [1, 3])
-def test_evaluation_runs_each_seed_once_whatever_the_number_of_environments(count: int) -> None:
+@pytest.mark.parametrize(("count", "to_end"), [(1, False), (3, False), (2, True)])
+def test_evaluation_runs_each_seed_once_whatever_the_number_of_environments(count: int, to_end: bool) -> None:
     seeds = evaluation_seeds(0, 7)
     envs = point_envs(count, steps=4)
     try:
-        result = run_episodes(envs, to_zero, seeds)
+        result = run_episodes(envs, to_zero, seeds, to_end)
     finally:
         envs.close(terminate=True)
     for index, seed in enumerate(seeds):
         env = point_env(steps=4)
         observation, _ = env.reset(seed=seed)
         total, length, success, over = 0.0, 0, False, False
-        while not over and not success:
+        while not over and (to_end or not success):
             observation, reward, terminated, truncated, info = env.step(to_zero(observation[None])[0])
             total, length, over = total + reward, length + 1, terminated or truncated
-            success = info["success"]
+            success = success or info["success"]
         assert (result.success[index], result.length[index]) == (success, length)
         assert result.returns[index] == pytest.approx(total)
     assert 0 < result.success.sum() < 7, "the test should see both outcomes"
