@@ -11,7 +11,7 @@ def import_extra(module: str, extra: str, purpose: str) -> ModuleType:
 
     Args:
         module: to import.
-        extra: name in ``pip install 'nerf-rl[extra]'``.
+        extra: name of the extra in ``pyproject.toml``.
         purpose: what needs it, as the beginning of a sentence.
 
     Raises:
@@ -23,5 +23,5 @@ def import_extra(module: str, extra: str, purpose: str) -> ModuleType:
         if error.name is None or error.name.split(".")[0] != module.split(".")[0]:
             raise  # a dependency of the module is missing: another extra would not help
         raise UserError(
-            f"{purpose} needs the extra '{extra}'; install it with: pip install 'nerf-rl[{extra}]'"
+            f"{purpose} needs the extra '{extra}'; in a checkout of nerf-rl: pip install '.[{extra}]'"
         ) from error

@@ -86,5 +86,5 @@ def test_a_missing_extra_is_told_in_a_sentence(monkeypatch: pytest.MonkeyPatch, 
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
     assert cli.main(["train-rl", "--algo", "ppo", "--out", str(tmp_path / "run")]) == 2
     error = capsys.readouterr().err
-    assert "--algo ppo needs the extra 'sb3'; install it with: pip install 'nerf-rl[sb3]'" in error
+    assert "--algo ppo needs the extra 'sb3'; in a checkout of nerf-rl: pip install '.[sb3]'" in error
     assert not (tmp_path / "run").exists()
