@@ -24,7 +24,7 @@ HEARTBEAT = "heartbeat"
 LOST = "lost"
 _INTERVAL = 30.0  # [s]
 _REMOTE_PATIENCE = 180.0  # [s] without a beat from another machine
-_START_PATIENCE = 20.0  # [s] without a first beat
+_START_PATIENCE = 10.0  # [s] without a first beat
 
 
 class Heart:
