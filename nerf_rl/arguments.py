@@ -10,10 +10,14 @@ from jsonargparse import ActionConfigFile, ArgumentError, ArgumentParser, set_pa
 
 from nerf_rl.errors import UnknownNameError, UserError
 
+_ALONE = ("-h", "--help", "--print_config")  # keys without a value
+
 set_parsing_settings(docstring_parse_attribute_docstrings=True)
 
 
-def parse_config(config: type, program: str, description: str, arguments: Sequence[str]) -> Any:
+def parse_config(
+    config: type, program: str, description: str, arguments: Sequence[str], positional: str = ""
+) -> Any:
     """Return an instance of the dataclass ``config``.
 
     Args:
@@ -21,6 +25,7 @@ def parse_config(config: type, program: str, description: str, arguments: Sequen
         program: the name to show in help.
         description: a line for help.
         arguments: ``--config FILE`` and ``--key value`` overrides; the later one wins.
+        positional: the key that a word without one stands for; none if empty.
 
     Raises:
         UserError: an unknown key or recipe, a wrong value, or a contradiction that the dataclass rejects.
@@ -30,12 +35,25 @@ def parse_config(config: type, program: str, description: str, arguments: Sequen
     parser.add_argument("--config", action=ActionConfigFile, help="recipe (YAML); --key value overrides it")
     parser.add_class_arguments(config)
     arguments = [re.sub(r"^--[^=]+", lambda key: "--" + key[0][2:].replace("-", "_"), word) for word in arguments]
+    arguments = list(_name_positional(arguments, positional)) if positional else arguments
     try:
         namespace = parser.instantiate(parser.parse_args(arguments))
         values = {field.name: namespace[field.name] for field in dataclasses.fields(config)}
         return config(**values)
     except (ArgumentError, ValueError) as error:
         raise _explain(str(error), config) from error
+
+
+def _name_positional(arguments: Sequence[str], key: str) -> Iterator[str]:
+    """Yield the arguments with ``--key=`` before each word that is neither a key nor the value of the key before."""
+    is_value = False
+    for word in arguments:
+        if word.startswith("-"):
+            is_value = "=" not in word and word not in _ALONE
+            yield word
+        else:
+            yield word if is_value else f"--{key}={word}"
+            is_value = False
 
 
 def _explain(message: str, config: type) -> UserError:

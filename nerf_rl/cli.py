@@ -16,11 +16,15 @@ from nerf_rl.errors import UnknownNameError, UserError
 
 @dataclasses.dataclass(frozen=True)
 class Command:
-    """One sub-command: its configuration class and its function as ``module:name``, and a line of help."""
+    """One sub-command: its configuration class and its function as ``module:name``, and a line of help.
+
+    ``positional`` is the key that a word without one stands for.
+    """
 
     config: str
     function: str
     help: str
+    positional: str = ""
 
 
 COMMANDS = {
@@ -53,6 +57,12 @@ COMMANDS = {
         "nerf_rl.rl.tuning.config:TuneConfig",
         "nerf_rl.rl.tuning.tune:tune",
         "search train-rl's keys: whale optimisation, TPE, CMA-ES or random, on many processes and machines",
+    ),
+    "view": Command(
+        "nerf_rl.viewer.config:ViewConfig",
+        "nerf_rl.viewer.view:view",
+        "look at a dataset, an encoder or an agent in the browser, or save it as a page, picture or video",
+        positional="path",
     ),
     "report": Command(
         "nerf_rl.tools.config:ReportConfig",
@@ -99,7 +109,7 @@ def parse(name: str, arguments: Sequence[str]) -> Any:
     from nerf_rl.arguments import parse_config  # jsonargparse takes longer to import than `nerf-rl --help` may take
 
     command = COMMANDS[name]
-    return parse_config(_load(command.config), f"nerf-rl {name}", command.help, arguments)
+    return parse_config(_load(command.config), f"nerf-rl {name}", command.help, arguments, command.positional)
 
 
 def _load(target: str) -> Any:

@@ -1,0 +1,1 @@
+"""Looking at datasets, encoders and agents in the browser."""
