@@ -99,14 +99,18 @@ class RadianceField(nn.Module):
             weights = self.octave_weights.repeat(3)
             for frame in (normalised[:, :, None] - origins).clamp(-2.0, 2.0).unbind(2):
                 encoded += [frame, *(weights * wave for wave in self._positional(frame))]
-        hidden = torch.cat([*encoded, self._static(x)], dim=-1)
+        hidden = torch.cat([*encoded, self.static_features(x)], dim=-1)
         for i, layer in enumerate(self.layers):
             hidden = layer(hidden)
             if str(i) in self.latent_layers:
                 hidden = hidden + self.latent_layers[str(i)](latent)[:, None]
             hidden = F.relu(hidden)
-        density = _DENSITY_SCALE * F.softplus(self.density_head(hidden)[..., 0].float()) / self.bounds.half_extent
-        return density, hidden
+        return self.density_scale * F.softplus(self.density_head(hidden)[..., 0].float()), hidden
+
+    @property
+    def density_scale(self) -> float:
+        """Density [1/m] of an activation of one."""
+        return _DENSITY_SCALE / self.bounds.half_extent
 
     def read(self, features: Float[Tensor, "*B W"]) -> dict[str, Tensor]:
         """Return ``rgb`` [3], ``semantic`` logits [C] and, with teachers, ``feature`` [F] of composited features."""
@@ -119,7 +123,8 @@ class RadianceField(nn.Module):
         angles = (x[..., None] * self.octaves).flatten(-2)
         return torch.sin(angles), torch.cos(angles)
 
-    def _static(self, x: Float[Tensor, "B N 3"]) -> Float[Tensor, "B N G"]:
+    def static_features(self, x: Float[Tensor, "B N 3"]) -> Float[Tensor, "B N G"]:
+        """Return what the feature planes hold at contracted points."""
         pairs = torch.stack([x[..., [0, 1]], x[..., [0, 2]], x[..., [1, 2]]]).flatten(1, 2) / 2.0
         sampled = F.grid_sample(self.planes, pairs[:, :, None], align_corners=False, padding_mode="border")
         return sampled[..., 0].permute(2, 0, 1).reshape(*x.shape[:-1], -1)
