@@ -27,6 +27,8 @@ class Rollout:
     """what the encoder's cameras saw; None for a state agent"""
     latents: Float[ndarray, "T Z"] | None
     """their latents as the encoder gives them (not standardised); None for a state agent"""
+    observations: Float[ndarray, "steps O"]
+    """what the policy acted on"""
     actions: Float[ndarray, "steps A"]
     rewards: Float[ndarray, "steps"]
     success: Bool[ndarray, "steps"]
@@ -55,7 +57,7 @@ def rollout(
     view: list[ndarray] = []
     images: list[ndarray] = []
     latents: list[ndarray] = []
-    actions, rewards, success = [], [], []
+    observations, actions, rewards, success = [], [], [], []
 
     def look() -> None:
         view.append(camera.picture())
@@ -69,6 +71,7 @@ def rollout(
         ended = False
         while not ended:
             action = policy.act(observation[None])[0]
+            observations.append(observation)
             observation, reward, terminated, truncated, info = env.step(action)
             look()
             actions.append(action)
@@ -82,6 +85,7 @@ def rollout(
         np.stack(view),
         np.stack(images) if images else None,
         np.stack(latents) if latents else None,
+        np.stack(observations),
         np.stack(actions),
         np.array(rewards),
         np.array(success),

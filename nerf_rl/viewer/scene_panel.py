@@ -12,7 +12,7 @@ from nerf_rl.viewer.frames import Frame
 from nerf_rl.viewer.pictures import depth_limits
 from nerf_rl.viewer.point_cloud import COLOURINGS, PointCloud, fuse_views
 
-_FRUSTUM_SCALE = 0.12  # depth of a frustum [m]
+_FRUSTUM_SCALE = 0.09  # depth of a frustum [m]
 _FRUSTUM_COLOURS = {"encoder": (40, 120, 220), "supervision": (120, 120, 120), "test": (230, 140, 30)}
 _POINT_SIZE = 0.005  # [m]
 
@@ -101,6 +101,7 @@ class ScenePanel:
                 fov=fov,
                 aspect=width / height,
                 scale=_FRUSTUM_SCALE,
+                line_width=2.0,
                 color=_FRUSTUM_COLOURS.get(camera["role"], (120, 120, 120)),
                 image=frame.rgb[view],
             )
@@ -140,10 +141,10 @@ def look_through(event: viser.SceneNodePointerEvent, frustum: viser.CameraFrustu
 
 
 def look_from(server: viser.ViserServer, frame: Frame) -> None:
-    """Begin behind the cameras, with a view of what most of them look at."""
+    """Begin between the first camera and the others, farther off, with a view of what most of them look at."""
     centres = camera_position(frame.camera_from_world)
     forward = frame.camera_from_world[:, 2, :3]
     target = np.mean(centres + forward * np.median(frame.depth, axis=(1, 2))[:, None], axis=0)
-    away = np.mean(centres, axis=0) - target
-    server.initial_camera.position = target + 2.1 * away
+    away = 0.7 * centres[0] + 0.3 * np.mean(centres, axis=0) - target
+    server.initial_camera.position = target + 1.7 * away
     server.initial_camera.look_at = target

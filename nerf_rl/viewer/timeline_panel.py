@@ -1,11 +1,11 @@
 """The timeline in the browser: episode and frame sliders, play, step and jump."""
 
 import threading
-import time
 from collections.abc import Callable
 
 import viser
 
+from nerf_rl.viewer.playback import Playback
 from nerf_rl.viewer.timeline import Timeline
 
 
@@ -22,23 +22,17 @@ class TimelinePanel:
     def __init__(
         self, gui: viser.GuiApi, timeline: Timeline, order: Callable[[int], None], settle: Callable[[float], bool]
     ):
-        self._timeline, self._order, self._settle = timeline, order, settle
+        self._timeline, self._order = timeline, order
         self._lock = threading.RLock()
         self._frames = timeline.frames(timeline.first)
-        self._playing = threading.Event()
-        self._closed = False
         last = max(timeline.last, timeline.first + 1)
         self.episode = gui.add_slider("Episode", timeline.first, last, 1, timeline.first)
         self.frame = gui.add_slider("Frame", 0, max(1, len(self._frames) - 1), 1, 0)
-        self.play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
+        self._playback = Playback(gui, lambda: self.go(self._other(self.index, 1)), settle)
         step = gui.add_button_group("Step", ("|<", "<", ">", ">|"))
-        self.speed = gui.add_slider("Frames per second", 1, 30, 1, 10)
         self.episode.on_update(lambda _: self._choose_episode())
         self.frame.on_update(lambda _: self._choose_frame())
-        self.play.on_click(lambda _: self._toggle())
         step.on_click(lambda event: self._step(event.target.value))
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
 
     @property
     def index(self) -> int:
@@ -58,8 +52,7 @@ class TimelinePanel:
 
     def close(self) -> None:
         """Stop playing for good."""
-        self._closed = True
-        self._playing.set()
+        self._playback.close()
 
     def _choose_episode(self) -> None:
         with self._lock:
@@ -72,12 +65,6 @@ class TimelinePanel:
     def _choose_frame(self) -> None:
         self._order(self.index)
 
-    def _toggle(self) -> None:
-        playing = not self._playing.is_set()
-        self.play.label = "Pause" if playing else "Play"
-        self.play.icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
-        (self._playing.set if playing else self._playing.clear)()
-
     def _step(self, what: str) -> None:
         with self._lock:
             here, frames = self.index, self._frames
@@ -86,13 +73,3 @@ class TimelinePanel:
     def _other(self, index: int, by: int) -> int:
         """Return another frame, around the ends of the dataset."""
         return (index + by) % self._timeline.frame_count
-
-    def _run(self) -> None:
-        while not self._closed:
-            self._playing.wait()
-            if self._closed:
-                return
-            start = time.monotonic()
-            self.go(self._other(self.index, 1))
-            self._settle(5.0)
-            time.sleep(max(0.0, 1.0 / self.speed.value - (time.monotonic() - start)))

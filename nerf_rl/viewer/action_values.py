@@ -1,0 +1,48 @@
+"""Action values of a trained agent, from its last checkpoint."""
+
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from numpy import ndarray
+from torch import nn
+
+from nerf_rl.rl.checkpoint import below, last_checkpoint, load_checkpoint
+from nerf_rl.rl.networks import Critic
+from nerf_rl.rl.normalisation import RunningNorm
+from nerf_rl.rl.policy import Policy
+
+
+class ActionValues:
+    """Q(s, a) as the agent's critic has it, in scaled rewards.
+
+    Args:
+        norm: standardises observations.
+        critic: of the agent.
+    """
+
+    def __init__(self, norm: nn.Module, critic: Critic):
+        self._norm, self._critic = norm.eval(), critic.eval()
+
+    @torch.inference_mode()
+    def __call__(self, observations: Float[ndarray, "N O"], actions: Float[ndarray, "N A"]) -> Float[ndarray, "N"]:
+        """Return the value of each action in its state."""
+        return self._critic(self._norm(torch.from_numpy(observations)), torch.from_numpy(actions)).numpy()
+
+    @staticmethod
+    def load(run: Path, policy: Policy) -> "ActionValues | None":
+        """Read the critic of a run; None if the run has no checkpoint with one."""
+        folder = last_checkpoint(run)
+        if folder is None:
+            return None
+        tensors, _ = load_checkpoint(folder)
+        weights = below(tensors, "critic")
+        if not weights:
+            return None
+        critic = Critic(policy.observation_size, policy.action_size, policy.network)
+        critic.load_state_dict(weights)
+        norm: nn.Module = nn.Identity()
+        if policy.network.standardise:
+            norm = RunningNorm(policy.observation_size)
+            norm.load_state_dict(below(tensors, "norm"))
+        return ActionValues(norm, critic)

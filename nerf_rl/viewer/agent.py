@@ -1,0 +1,99 @@
+"""A trained agent to look at: its learning curves, and episodes acted on demand."""
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+
+from nerf_rl.pretrain.artefact import read_description
+from nerf_rl.pretrain.encoder import Encoder
+from nerf_rl.pretrain.field import RadianceField
+from nerf_rl.pretrain.folded_field import FoldedField
+from nerf_rl.rl.episodes import evaluation_seeds
+from nerf_rl.rl.policy import Policy
+from nerf_rl.rl.rollout import Rollout, rollout
+from nerf_rl.runs import SUMMARY, read_json
+from nerf_rl.viewer.action_values import ActionValues
+
+
+@dataclass(frozen=True)
+class ActedEpisode:
+    """An episode and what the critic says of it."""
+
+    seed: int
+    rollout: Rollout
+    values: Float[ndarray, "steps"] | None
+    """Q of each action, in scaled rewards; None without a critic"""
+
+    def __len__(self) -> int:
+        return len(self.rollout.view)
+
+    def lines(self) -> dict[str, ndarray]:
+        """Return numbers at each action, by name."""
+        r = self.rollout
+        named: dict[str, ndarray] = {"reward": r.rewards}
+        if self.values is not None:
+            named["Q"] = self.values
+        return named | {f"action {i}": r.actions[:, i] for i in range(r.actions.shape[1])}
+
+
+class Agent:
+    """A run of train-rl.
+
+    Args:
+        run: its folder.
+        encoder: where its encoder is now, if it has moved.
+        seed: of its episodes.
+        episodes: how many there are to choose from.
+    """
+
+    def __init__(self, run: Path, encoder: str, seed: int, episodes: int):
+        self.run = run
+        self.policy = Policy.load(run, encoder)
+        self.values = ActionValues.load(run, self.policy)
+        self.seeds = evaluation_seeds(seed, episodes)
+        self.encoder: Encoder | None = None
+        self.field: RadianceField | None = None
+        self.palette: UInt8[ndarray, "C 3"] = np.zeros((1, 3), np.uint8)
+        if self.policy.spec.encoder is not None:
+            self.encoder = Encoder.load(self.policy.spec.encoder)
+            folder, description = read_description(self.policy.spec.encoder)
+            if (folder / "field.json").is_file():
+                self.field = RadianceField.load(folder).requires_grad_(False)
+                self.palette = np.array(description["palette"], np.uint8)
+        self._acted: dict[int, ActedEpisode] = {}
+
+    def act(self, number: int) -> ActedEpisode:
+        """Return an episode by its number; it is acted when it is first asked for."""
+        if number not in self._acted:
+            seed = self.seeds[number]
+            episode = rollout(self.run, seed, policy=self.policy)
+            values = None if self.values is None else self.values(episode.observations, episode.actions)
+            self._acted[number] = ActedEpisode(seed, episode, values)
+        return self._acted[number]
+
+    def folded(self, episode: ActedEpisode, step: int) -> FoldedField | None:
+        """Return the field of what the agent saw at a step, if its encoder has one."""
+        if self.field is None or episode.rollout.latents is None:
+            return None
+        return FoldedField(self.field, torch.from_numpy(episode.rollout.latents[step]))
+
+    def evaluations(self) -> list[dict[str, Any]]:
+        """Return the evaluations of training; none if it has not ended."""
+        path = self.run / SUMMARY
+        return read_json(path)["evaluations"] if path.is_file() else []
+
+    def metrics(self) -> dict[str, ndarray]:
+        """Return the columns of ``metrics.csv``; gaps are NaN."""
+        path = self.run / "metrics.csv"
+        if not path.is_file():
+            return {}
+        with open(path, newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        names = rows[0] if rows else ()
+        return {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}

@@ -1,0 +1,65 @@
+"""Pictures of an agent: learning curves with intervals, and what its latent decodes to."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from jaxtyping import UInt8
+from numpy import ndarray
+
+from nerf_rl.images import colour_depth, colour_labels
+from nerf_rl.pretrain.encoder_rig import EncoderRig
+from nerf_rl.pretrain.folded_field import FoldedField
+from nerf_rl.viewer.charts import lines_chart, rasterise
+from nerf_rl.viewer.pictures import side_by_side, stack
+from nerf_rl.viewer.progressive import FreeCamera, render_progressively
+from nerf_rl.viewer.scene_panel import field_of_view
+
+_SHOWN = ("episode_return", "episode_success", "q", "td_error", "critic_loss", "pre_tanh", "noise")
+
+
+def learning_charts(evaluations: list[dict[str, Any]], metrics: dict[str, ndarray]) -> list[UInt8[ndarray, "_ _ 3"]]:
+    """Return charts of the evaluations, with 95 % intervals, and of scalars logged in training; those that there are."""
+    charts = []
+    if evaluations:
+        charts.append(_evaluation_chart(evaluations))
+    shown = {name: metrics[name] for name in _SHOWN if name in metrics and not np.isnan(metrics[name]).all()}
+    if shown:
+        charts.append(lines_chart(shown, "environment steps", x=metrics["env_steps"]))
+    return charts
+
+
+def decoded_views(
+    field: FoldedField, rig: EncoderRig, palette: UInt8[ndarray, "C 3"], stale: Callable[[], bool] = lambda: False
+) -> UInt8[ndarray, "A B 3"] | None:
+    """Return rows of colours, labels and depth that a field renders for the encoder's cameras.
+
+    None if a newer picture is wanted before the end.
+    """
+    near, far = field.field.bounds.near, field.field.bounds.far
+    rows: list[list[ndarray]] = [[], [], []]
+    longer = max(rig.height, rig.width)
+    for i in range(len(rig.names)):
+        fovy = field_of_view(rig.intrinsics[i], rig.height)
+        camera = FreeCamera(rig.camera_from_world[i], fovy, rig.width / rig.height)
+        images = list(render_progressively(field, camera, max(8, longer // 2), [longer], stale))
+        if len(images) < 2:
+            return None
+        rows[0].append((255 * images[-1].rgb[0]).round().astype(np.uint8))
+        rows[1].append(colour_labels(images[-1].semantic[0], palette))
+        rows[2].append(colour_depth(images[-1].depth[0], near, far))
+    return stack([side_by_side(row, 112) for row in rows])
+
+
+def _evaluation_chart(evaluations: list[dict[str, Any]]) -> UInt8[ndarray, "A B 3"]:
+    from matplotlib.figure import Figure  # takes half a second to import
+
+    figure = Figure(figsize=(4.4, 3.6), dpi=100, layout="constrained")
+    success, returns = figure.subplots(2, 1, sharex=True)
+    steps = [e["env_steps"] for e in evaluations]
+    success.plot(steps, [e["success_rate"] for e in evaluations], marker="o")
+    success.fill_between(steps, [e["ci_low"] for e in evaluations], [e["ci_high"] for e in evaluations], alpha=0.2)
+    success.set(ylim=(-0.03, 1.03), ylabel="success rate", title="evaluations, 95 % interval")
+    returns.plot(steps, [e["mean_return"] for e in evaluations], marker="o", color="tab:orange")
+    returns.set(xlabel="environment steps", ylabel="return until success")
+    return rasterise(figure)

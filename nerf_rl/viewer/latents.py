@@ -1,0 +1,74 @@
+"""From a dataset's frames to an encoder's latents, and what a linear probe reads from them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from numpy import ndarray
+from torch import Tensor
+
+from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.pretrain.encoder import Encoder
+from nerf_rl.pretrain.field import RadianceField
+from nerf_rl.pretrain.folded_field import FoldedField
+from nerf_rl.pretrain.linear_probe import encode_frames, linear_probe
+from nerf_rl.viewer.frames import Frame
+
+
+class EncodedDataset:
+    """A dataset seen through an encoder and its field.
+
+    Args:
+        path: of the encoder.
+        folder: its run folder, where the field lies.
+        dataset: rendered with the encoder's cameras.
+    """
+
+    def __init__(self, path: str, folder: Path, dataset: MultiViewDataset):
+        self.dataset = dataset
+        self.encoder = Encoder.load(path)
+        self.field = RadianceField.load(folder).requires_grad_(False)
+        self._views = dataset.views("encoder")
+        self._projections = torch.from_numpy(self.encoder.rig.projections)[None]
+
+    @torch.inference_mode()
+    def latent(self, frame: Frame) -> Float[Tensor, "Z"]:
+        """Return a frame's latent, not standardised."""
+        return self.encoder(torch.from_numpy(frame.rgb[self._views])[None], self._projections)[0]
+
+    def folded(self, latent: Float[Tensor, "Z"]) -> FoldedField:
+        """Return the field of the scene that a latent describes."""
+        return FoldedField(self.field, latent)
+
+    def fit_probe(self, frames: int = 600) -> "Probe":
+        """Fit a linear probe on evenly spread training frames."""
+        train = self.dataset.split("train")
+        chosen = train[np.unique(np.linspace(0, len(train) - 1, min(frames, len(train))).astype(int))]
+        targets = self.dataset.read("state/privileged", chosen).astype(np.float64)
+        names = self.dataset.columns("privileged")
+        varying = [i for i in range(len(names)) if targets[:, i].std() > 1e-4]
+        latents = encode_frames(self.encoder, self.dataset, chosen)
+        return Probe(tuple(names[i] for i in varying), latents, targets[:, varying])
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A linear map from latents to the true state, by the frames that it is fitted on."""
+
+    names: tuple[str, ...]
+    """of the T columns"""
+    latents: Float[ndarray, "N Z"]
+    targets: Float[ndarray, "N T"]
+    """[m]"""
+
+    def read(self, latent: Float[Tensor, "Z"]) -> dict[str, float]:
+        """Return what the probe reads from a latent [m]."""
+        values = linear_probe(self.latents, self.targets, latent[None].double().numpy())[0]
+        return dict(zip(self.names, values.tolist(), strict=True))
+
+
+def interpolate(start: Float[Tensor, "Z"], end: Float[Tensor, "Z"], share: float) -> Float[Tensor, "Z"]:
+    """Return the latent on the line between two, ``start`` at share 0."""
+    return start + share * (end - start)
