@@ -15,9 +15,7 @@ _ALONE = ("-h", "--help", "--print_config")  # keys without a value
 set_parsing_settings(docstring_parse_attribute_docstrings=True)
 
 
-def parse_config(
-    config: type, program: str, description: str, arguments: Sequence[str], positional: str = ""
-) -> Any:
+def parse_config(config: type, program: str, description: str, arguments: Sequence[str], positional: str = "") -> Any:
     """Return an instance of the dataclass ``config``.
 
     Args:

@@ -1,8 +1,10 @@
 """A radiance field for one latent, with all that the latent decides folded into its first layer."""
 
+from typing import cast
+
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional as F
 
 from nerf_rl.pretrain.field import RadianceField
@@ -24,7 +26,8 @@ class FoldedField:
     @torch.inference_mode()
     def __init__(self, field: RadianceField, latent: Float[Tensor, "Z"]):
         self.field, self.latent = field, latent[None]
-        count, first = field.config.frequencies, field.layers[0]
+        self._layers = [cast(nn.Linear, layer) for layer in field.layers]
+        count, first = field.config.frequencies, self._layers[0]
         waves = 3 * count
         block = 3 + 2 * waves
         weight = first.weight
@@ -73,7 +76,7 @@ class FoldedField:
             sine, cosine = 2.0 * sine * cosine, 1.0 - 2.0 * sine.square()
         encoded.append(self.field.static_features(x[None])[0])
         hidden = F.relu_(F.linear(torch.cat(encoded, dim=-1), self._weight, self._bias))
-        for i, layer in enumerate(self.field.layers[1:], start=1):
+        for i, layer in enumerate(self._layers[1:], start=1):
             hidden = F.relu_(F.linear(hidden, layer.weight, layer.bias + self._added(i)))
         density = F.softplus(self.field.density_head(hidden)[:, 0])
         return self.field.density_scale * density, hidden

@@ -2,6 +2,7 @@
 
 import base64
 import html
+import json
 from collections.abc import Sequence
 
 import cv2
@@ -18,6 +19,27 @@ th, td { padding: .25rem .8rem; border-bottom: 1px solid #ddd; text-align: right
 th:first-child, td:first-child { text-align: left }
 .key { display: inline-block; width: .8em; height: .8em; margin: 0 .3em 0 .9em }
 """
+
+_SLIDES = """
+<img alt="frame"><div><button>play</button>
+<input type="range" min="0" value="0" style="width:70%"></div><figcaption></figcaption>
+"""
+_PLAYER = """(content) => {
+  const figure = document.currentScript.parentElement, find = (name) => figure.querySelector(name);
+  const picture = find("img"), slider = find("input"), button = find("button");
+  let timer = null;
+  const show = (i) => {
+    slider.value = i; picture.src = content.urls[i]; find("figcaption").textContent = content.captions[i];
+  };
+  slider.max = content.urls.length - 1;
+  slider.oninput = () => show(Number(slider.value));
+  button.onclick = () => {
+    button.textContent = timer ? "play" : "pause";
+    if (timer) { clearInterval(timer); timer = null; return; }
+    timer = setInterval(() => show((Number(slider.value) + 1) % content.urls.length), 150);
+  };
+  show(0);
+}"""
 
 
 class Page:
@@ -64,6 +86,18 @@ class Page:
         """Add a clip that plays in a loop."""
         url = _data_url("video/mp4", mp4)
         self._figure(f'<video src="{url}" controls autoplay loop muted playsinline></video>', caption)
+
+    def slides(self, pictures: Sequence[UInt8[ndarray, "_ _ 3"]], captions: Sequence[str]) -> None:
+        """Add RGB pictures one at a time, with a slider and a play button."""
+        encoded = [cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])[1] for picture in pictures]
+        content = {"urls": [_data_url("image/jpeg", e.tobytes()) for e in encoded], "captions": list(captions)}
+        data = json.dumps(content).replace("</", "<\\/")
+        self._parts.append(f'<figure class="slides">{_SLIDES}<script>({_PLAYER})({data})</script></figure>')
+
+    def frame(self, document: str, height: int) -> None:
+        """Add another self-contained page inside this one, as high as ``height`` [pixels]."""
+        style = f"width:100%;height:{height}px;border:1px solid #ddd"
+        self._parts.append(f'<iframe style="{style}" srcdoc="{html.escape(document)}"></iframe>')
 
     def render(self) -> str:
         """Return the page."""

@@ -35,7 +35,7 @@ class ActionValues:
         folder = last_checkpoint(run)
         if folder is None:
             return None
-        tensors, _ = load_checkpoint(folder)
+        tensors = below(load_checkpoint(folder)[0], "agent")
         weights = below(tensors, "critic")
         if not weights:
             return None

@@ -60,12 +60,14 @@ class Agent:
         self.encoder: Encoder | None = None
         self.field: RadianceField | None = None
         self.palette: UInt8[ndarray, "C 3"] = np.zeros((1, 3), np.uint8)
+        self.class_names: list[str] = []
         if self.policy.spec.encoder is not None:
             self.encoder = Encoder.load(self.policy.spec.encoder)
             folder, description = read_description(self.policy.spec.encoder)
             if (folder / "field.json").is_file():
                 self.field = RadianceField.load(folder).requires_grad_(False)
                 self.palette = np.array(description["palette"], np.uint8)
+                self.class_names = description["classes"]
         self._acted: dict[int, ActedEpisode] = {}
 
     def act(self, number: int) -> ActedEpisode:

@@ -10,16 +10,18 @@ from numpy import ndarray
 from nerf_rl.images import colour_depth, colour_labels
 from nerf_rl.pretrain.encoder_rig import EncoderRig
 from nerf_rl.pretrain.folded_field import FoldedField
+from nerf_rl.viewer.agent import ActedEpisode, Agent
 from nerf_rl.viewer.charts import lines_chart, rasterise
-from nerf_rl.viewer.pictures import side_by_side, stack
+from nerf_rl.viewer.pictures import caption, magnify, side_by_side, stack
 from nerf_rl.viewer.progressive import FreeCamera, render_progressively
 from nerf_rl.viewer.scene_panel import field_of_view
+from nerf_rl.viewer.slides import Slide
 
 _SHOWN = ("episode_return", "episode_success", "q", "td_error", "critic_loss", "pre_tanh", "noise")
 
 
 def learning_charts(evaluations: list[dict[str, Any]], metrics: dict[str, ndarray]) -> list[UInt8[ndarray, "_ _ 3"]]:
-    """Return charts of the evaluations, with 95 % intervals, and of scalars logged in training; those that there are."""
+    """Return charts of the evaluations, with 95 % intervals, and of scalars logged in training, if there are any."""
     charts = []
     if evaluations:
         charts.append(_evaluation_chart(evaluations))
@@ -63,3 +65,29 @@ def _evaluation_chart(evaluations: list[dict[str, Any]]) -> UInt8[ndarray, "A B 
     returns.plot(steps, [e["mean_return"] for e in evaluations], marker="o", color="tab:orange")
     returns.set(xlabel="environment steps", ylabel="return until success")
     return rasterise(figure)
+
+
+def episode_slide(agent: Agent, episode: ActedEpisode, step: int) -> Slide:
+    """Return one step as a slide: the scene, the encoder's cameras above what their latent decodes to, and numbers."""
+    r = episode.rollout
+    parts = [magnify(r.view[step], 360)]
+    if r.images is not None:
+        rows = [side_by_side(list(r.images[step]), 112)]
+        folded = agent.folded(episode, step)
+        if folded is not None and agent.encoder is not None:
+            decoded = decoded_views(folded, agent.encoder.rig, agent.palette)
+            assert decoded is not None  # nothing newer is ever wanted here
+            rows.append(decoded)
+        parts.append(stack(rows))
+    height = max(part.shape[0] for part in parts)
+    padded = [np.pad(p, ((0, height - p.shape[0]), (0, 8), (0, 0)), constant_values=255) for p in parts]
+    picture = np.concatenate(padded, axis=1)
+    return Slide(stack([picture, caption(_numbers(episode, step), picture.shape[1])]), f"seed {episode.seed}")
+
+
+def _numbers(episode: ActedEpisode, step: int) -> str:
+    acted = min(step, len(episode.rollout.rewards) - 1)
+    value = "" if episode.values is None else f"   Q {episode.values[acted]:.2f}"
+    success = "   SUCCESS" if step > 0 and episode.rollout.success[:step].any() else ""
+    actions = " ".join(f"{a:+.2f}" for a in episode.rollout.actions[acted])
+    return f"step {step}   reward {episode.rollout.rewards[acted]:.2f}{value}   action {actions}{success}"

@@ -6,6 +6,7 @@ import numpy as np
 import viser
 import viser.uplot
 
+from nerf_rl.cameras import camera_position
 from nerf_rl.viewer.agent import ActedEpisode, Agent
 from nerf_rl.viewer.agent_pictures import decoded_views, learning_charts
 from nerf_rl.viewer.columns_panel import ColumnsPanel
@@ -131,7 +132,8 @@ class AgentView:
                     fov=field_of_view(rig.intrinsics[i], rig.height),
                     aspect=rig.width / rig.height,
                     scale=0.09,
-                    line_width=2.0,
+                    thickness=2.0,
+                    thickness_units="screen",
                     color=(40, 120, 220),
                     image=images[i],
                     wxyz=wxyz,
@@ -146,6 +148,6 @@ class AgentView:
         if self.agent.encoder is None or self.agent.field is None:
             return
         centre = np.array(self.agent.field.bounds.centre)
-        wxyz, position = frustum_pose(self.agent.encoder.rig.camera_from_world[0])
-        self.server.initial_camera.position = centre + 1.3 * (position - centre)
+        position = camera_position(self.agent.encoder.rig.camera_from_world[0])
+        self.server.initial_camera.position = centre + 1.2 * (position - centre) + np.array([0.0, 0.0, 0.25])
         self.server.initial_camera.look_at = centre

@@ -13,13 +13,11 @@ _POINTS_AT_ONCE = 1 << 15
 _AXES = np.eye(3, dtype=np.int64)
 
 
-def surface_net(
-    values: Float[ndarray, "X Y Z"], level: float
-) -> tuple[Float32[ndarray, "V 3"], Int[ndarray, "F 3"]]:
+def surface_net(values: Float[ndarray, "X Y Z"], level: float) -> tuple[Float32[ndarray, "V 3"], Int[ndarray, "F 3"]]:
     """Return the surface on which values on a grid cross a level: vertices in grid units, and triangles.
 
-    Naive surface nets (Gibson 1998): a cell that the surface passes through has one vertex, the mean of the crossings on
-    its edges; an edge that crosses joins the vertices of the four cells around it. Triangles face smaller values.
+    Naive surface nets (Gibson 1998): a cell that the surface passes through has one vertex, the mean of the crossings
+    on its edges; an edge that crosses joins the vertices of the four cells around it. Triangles face smaller values.
     """
     inside = values > level
     cells = np.array(values.shape) - 1
@@ -34,7 +32,7 @@ def surface_net(
         b, c = _AXES[(axis + 1) % 3], _AXES[(axis + 2) % 3]
         for i, j in product((0, 1), (0, 1)):  # the cells around an edge hold it at four of their own edges
             corner = i * b + j * c
-            part = tuple(slice(o, o + n) if s == 0 else slice(0, n) for o, n, s in zip(corner, cells, step, strict=True))
+            part = tuple(slice(start, start + size) for start, size in zip(corner, cells, strict=True))
             crossed = crossing[part]
             count += crossed
             total += crossed[..., None] * (corner + share[part][..., None] * step)

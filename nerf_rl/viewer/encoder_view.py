@@ -99,14 +99,13 @@ class EncoderPanel:
 
 def probe_table(read: dict[str, float], truth: dict[str, float]) -> str:
     """Return HTML with what a probe read beside the truth [mm]."""
-    rows = "".join(
-        f"<tr><td>{html.escape(name)}</td>"
-        + "".join(f"<td style='text-align:right;padding-left:1em'>{v:.1f}</td>" for v in _millimetres(value, truth[name]))
-        + "</tr>"
-        for name, value in read.items()
-        if name in truth
-    )
-    head = "".join(f"<th style='text-align:right;padding-left:1em'>{t}</th>" for t in ("probe", "true", "error"))
+    style = "style='text-align:right;padding-left:1em'"
+    rows = ""
+    for name, value in read.items():
+        if name in truth:
+            cells = (f"<td {style}>{number:.1f}</td>" for number in _millimetres(value, truth[name]))
+            rows += f"<tr><td>{html.escape(name)}</td>{''.join(cells)}</tr>"
+    head = "".join(f"<th {style}>{title}</th>" for title in ("probe", "true", "error"))
     return f"<table style='margin:.8em;font-size:.85em'><tr><th>[mm]</th>{head}</tr>{rows}</table>"
 
 

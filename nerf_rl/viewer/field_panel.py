@@ -35,7 +35,7 @@ class FieldPanel:
         self._server, self._palette, self._depth_range = server, palette, depth_range
         self._field: FoldedField | None = None
         self._workers: dict[int, NewestOnly[None]] = {}
-        self._mesh: viser.MeshHandle | None = None
+        self._mesh: viser.GlbHandle | None = None
         self._mesh_worker: NewestOnly[None] = NewestOnly(self._draw_mesh)
         gui = server.gui
         self.mode = gui.add_dropdown("Field", FIELD_MODES, initial_value="RGB")

@@ -69,10 +69,10 @@ def caption(text: str, width: int, height: int = 18) -> UInt8[ndarray, "height w
 
 def legend(names: Sequence[str], palette: UInt8[ndarray, "C 3"]) -> str:
     """Return HTML that says which colour is which class."""
-    style = "display:inline-block;width:.8em;height:.8em;margin:0 .35em 0 0;border-radius:2px"
+    box = "display:inline-block;width:.8em;height:.8em;margin:0 .35em 0 0;border-radius:2px"
     entries = [
-        f'<span style="margin-right:.9em;white-space:nowrap"><span style="{style};background:rgb{tuple(colour)}"></span>'
-        f"{html.escape(name)}</span>"
+        f'<span style="margin-right:.9em;white-space:nowrap">'
+        f'<span style="{box};background:rgb{tuple(colour)}"></span>{html.escape(name)}</span>'
         for name, colour in zip(names, palette.tolist(), strict=True)
     ]
     return f'<div style="padding:.3em .8em;font-size:.8em;line-height:1.7">{"".join(entries)}</div>'

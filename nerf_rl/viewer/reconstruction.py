@@ -56,7 +56,7 @@ def comparison(
 
 
 def errors(frame: Frame, view: int, rendered: RenderedImages, far: float) -> list[UInt8[ndarray, "H W 3"]]:
-    """Return heat maps of the errors in colour, labels and depth; in depth only where the truth is nearer than ``far``."""
+    """Return heat maps of the errors in colour, labels and depth, the latter where the truth is nearer than ``far``."""
     colour = np.abs(rendered.rgb[0] - frame.rgb[view] / 255.0).mean(-1)
     wrong = np.where(rendered.semantic[0] != frame.semantic[view], 255, 0).astype(np.uint8)
     depth = np.where(frame.depth[view] < far, np.abs(rendered.depth[0] - frame.depth[view]), 0.0)

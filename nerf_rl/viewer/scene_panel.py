@@ -27,9 +27,7 @@ class ScenePanel:
         changed: called when a control asks for the frame to be drawn again.
     """
 
-    def __init__(
-        self, server: viser.ViserServer, dataset: MultiViewDataset, first: Frame, changed: Callable[[], None]
-    ):
+    def __init__(self, server: viser.ViserServer, dataset: MultiViewDataset, first: Frame, changed: Callable[[], None]):
         self._server, self._dataset = server, dataset
         self.depth_range = depth_limits(first)
         self._frusta: list[viser.CameraFrustumHandle] = []
@@ -101,7 +99,8 @@ class ScenePanel:
                 fov=fov,
                 aspect=width / height,
                 scale=_FRUSTUM_SCALE,
-                line_width=2.0,
+                thickness=2.0,
+                thickness_units="screen",
                 color=_FRUSTUM_COLOURS.get(camera["role"], (120, 120, 120)),
                 image=frame.rgb[view],
             )
@@ -146,5 +145,5 @@ def look_from(server: viser.ViserServer, frame: Frame) -> None:
     forward = frame.camera_from_world[:, 2, :3]
     target = np.mean(centres + forward * np.median(frame.depth, axis=(1, 2))[:, None], axis=0)
     away = 0.7 * centres[0] + 0.3 * np.mean(centres, axis=0) - target
-    server.initial_camera.position = target + 1.7 * away
+    server.initial_camera.position = target + 1.6 * away + np.array([0.0, 0.0, 0.3])
     server.initial_camera.look_at = target

@@ -33,7 +33,8 @@ def serve(host: str, port: int, title: str) -> Iterator[viser.ViserServer]:
     try:
         yield server
     finally:
-        server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
 
 
 def free_port(host: str, port: int) -> int:
