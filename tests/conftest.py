@@ -43,6 +43,10 @@ threads: 1
 seed: 5
 """
 
+TINY_TRAINING = ["--env_steps", "80", "--warmup_steps", "40", "--episode_steps", "20", "--learner.batch_size", "8"]
+TINY_TRAINING += ["--evaluation_every", "40", "--evaluation_episodes", "2", "--final_evaluation_episodes", "2"]
+TINY_TRAINING += ["--replay.capacity", "200", "--network.hidden", "[16, 16]"]
+
 
 @pytest.fixture(scope="session")
 def drawer_open() -> Scene:
@@ -80,4 +84,12 @@ def tiny_encoder(tiny_dataset: Path, tiny_pretraining_recipe: Path, tmp_path_fac
     folder = tmp_path_factory.mktemp("tiny") / "encoder"
     arguments = ["--config", str(tiny_pretraining_recipe), "--data", str(tiny_dataset), "--out", str(folder)]
     assert cli.main(["pretrain", *arguments]) == 0
+    return folder
+
+
+@pytest.fixture(scope="session")
+def tiny_agent(tiny_encoder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run folder of an agent that was trained for a few steps on the tiny encoder; tests leave it as it is."""
+    folder = tmp_path_factory.mktemp("tiny") / "agent"
+    assert cli.main(["train-rl", "--encoder", str(tiny_encoder), "--out", str(folder), *TINY_TRAINING]) == 0
     return folder

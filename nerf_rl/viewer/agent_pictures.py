@@ -70,7 +70,7 @@ def _evaluation_chart(evaluations: list[dict[str, Any]]) -> UInt8[ndarray, "A B 
 def episode_slide(agent: Agent, episode: ActedEpisode, step: int) -> Slide:
     """Return one step as a slide: the scene, the encoder's cameras above what their latent decodes to, and numbers."""
     r = episode.rollout
-    parts = [magnify(r.view[step], 360)]
+    parts = []
     if r.images is not None:
         rows = [side_by_side(list(r.images[step]), 112)]
         folded = agent.folded(episode, step)
@@ -79,6 +79,7 @@ def episode_slide(agent: Agent, episode: ActedEpisode, step: int) -> Slide:
             assert decoded is not None  # nothing newer is ever wanted here
             rows.append(decoded)
         parts.append(stack(rows))
+    parts.insert(0, magnify(r.view[step], parts[0].shape[0] if parts else 360))
     height = max(part.shape[0] for part in parts)
     padded = [np.pad(p, ((0, height - p.shape[0]), (0, 8), (0, 0)), constant_values=255) for p in parts]
     picture = np.concatenate(padded, axis=1)

@@ -19,7 +19,13 @@ def statistics_chart(statistics: Statistics, palette: UInt8[ndarray, "C 3"]) -> 
     top, bottom = figure.subplots(2, 1, gridspec_kw={"height_ratios": [3, 2]})
     for name, places in statistics.resets.items():
         top.scatter(places[:, 0], places[:, 1], s=9, alpha=0.6, label=name)
-    top.set(xlabel="x [m]", ylabel="y [m]", title="positions after reset", aspect="equal", adjustable="datalim")
+    top.set(
+        xlabel="x [m]",
+        ylabel="y [m]",
+        title="where episodes begin (first frames)",
+        aspect="equal",
+        adjustable="datalim",
+    )
     if statistics.resets:
         top.legend(fontsize=8)
     names = list(statistics.class_shares)[::-1]

@@ -1,12 +1,14 @@
 """One frame of a dataset with all that its cameras saw, and the episode around it."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 from numpy import ndarray
 
 from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.datasets.shards import SPLIT_NAMES
 
 
 @dataclass(frozen=True)
@@ -43,9 +45,8 @@ class EpisodeColumns:
 
 def read_frame(dataset: MultiViewDataset, index: int) -> Frame:
     """Read one frame."""
-    from nerf_rl.datasets.shards import SPLIT_NAMES
 
-    def row(name: str) -> ndarray:
+    def row(name: str) -> Any:
         return dataset.read(name, [index])[0]
 
     intrinsics, poses = dataset.cameras([index])

@@ -1,0 +1,81 @@
+"""The dataset's page in a real browser."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from looking import Look, Viewer
+
+
+@pytest.fixture(scope="module")
+def viewer(tiny_dataset: Path) -> Iterator[Viewer]:
+    running = Viewer(str(tiny_dataset))
+    yield running
+    running.close()
+
+
+def test_the_page_shows_a_scene_and_every_camera(viewer: Viewer, look: Look) -> None:
+    look.open(viewer.url)
+    look.until(lambda: len(look.images()) >= 5, "the cameras' pictures are missing")
+    text = look.page.inner_text("body")
+    assert all(name in text for name in ("left", "right", "top", "random_0", "drawercase", "hand", "world"))
+
+
+def test_the_slider_changes_the_pictures(viewer: Viewer, look: Look) -> None:
+    look.open(viewer.url)
+    look.until(lambda: len(look.images()) >= 5, "the cameras' pictures are missing")
+    before = look.images()
+    look.set_number("Episode", 2)
+    look.until(lambda: "episode 2" in look.page.inner_text("body"), "the status does not follow the slider")
+    look.until(lambda: len(set(look.images()) - set(before)) >= 3, "the pictures do not follow the slider")
+
+
+def test_a_click_on_a_frustum_looks_through_it(viewer: Viewer, look: Look) -> None:
+    look.open(viewer.url)
+    before = look.canvas()
+    label = look.page.get_by_text("right", exact=True).last.bounding_box()
+    assert label is not None
+    moved = False
+    for right, down in ((30, -20), (0, -40), (30, 20), (-30, -30), (0, 30), (-30, 20), (60, 0), (0, -70)):
+        look.page.mouse.click(label["x"] + label["width"] / 2 + right, label["y"] + down)
+        look.page.wait_for_timeout(1500)
+        moved = np.abs(look.canvas() - before).mean() > 15
+        if moved:
+            break
+    assert moved, "no click on or near the frustum moved the camera"
+    look.keep("through")
+
+
+def test_a_class_can_be_hidden_and_the_cloud_coloured(viewer: Viewer, look: Look) -> None:
+    look.open(viewer.url)
+    before = look.canvas()
+    look.page.locator("xpath=//*[normalize-space(text())='Point cloud']/following::input[1]").first.click()
+    look.page.get_by_role("option", name="semantic").click()
+    look.until(lambda: np.abs(look.canvas() - before).mean() > 4, "the cloud keeps its colours")
+
+
+def test_play_goes_on_by_itself(viewer: Viewer, look: Look) -> None:
+    look.open(viewer.url)
+    status = "p:has-text('frame ')"
+    before = look.page.inner_text(status)
+    look.page.get_by_role("button", name="Play").click()
+    look.until(lambda: look.page.inner_text(status) != before, "nothing plays")
+    look.page.get_by_role("button", name="Pause").click()
+
+
+def test_two_viewers_serve_at_once_and_a_closed_tab_ends_neither(
+    viewer: Viewer, tiny_dataset: Path, look: Look
+) -> None:
+    other = Viewer(str(tiny_dataset))
+    try:
+        assert other.url != viewer.url
+        for running in (other, viewer, other):
+            look.open(running.url)
+        assert other.process.poll() is None
+    finally:
+        look.page.goto("about:blank")
+        code = other.interrupt()
+        other.close()
+    assert code == 0
+    assert viewer.process.poll() is None

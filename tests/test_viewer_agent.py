@@ -1,0 +1,56 @@
+"""An agent as the viewer shows it."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from nerf_rl.rl.checkpoint import last_checkpoint, load_agent_tensors, load_checkpoint
+from nerf_rl.rl.config import LearnerConfig
+from nerf_rl.rl.ddpg import DDPG
+from nerf_rl.viewer.agent import Agent
+from nerf_rl.viewer.agent_pictures import episode_slide, learning_charts
+
+
+@pytest.fixture(scope="module")
+def agent(tiny_agent: Path) -> Agent:
+    return Agent(tiny_agent, "", seed=1, episodes=2)
+
+
+def test_action_values_are_those_of_the_trained_critic(agent: Agent, tiny_agent: Path) -> None:
+    episode = agent.act(0)
+    policy = agent.policy
+    ddpg = DDPG(policy.observation_size, policy.action_size, policy.network, LearnerConfig())
+    folder = last_checkpoint(tiny_agent)
+    assert folder is not None
+    tensors, _ = load_checkpoint(folder)
+    load_agent_tensors(ddpg, {name.removeprefix("agent."): t for name, t in tensors.items() if "agent." in name})
+    with torch.no_grad():
+        observed = ddpg.norm(torch.from_numpy(episode.rollout.observations))
+        expected = ddpg.critic(observed, torch.from_numpy(episode.rollout.actions))
+    assert episode.values is not None and np.allclose(episode.values, expected, atol=1e-5)
+    assert np.allclose(episode.rollout.actions, policy.act(episode.rollout.observations), atol=1e-5)
+
+
+def test_without_a_checkpoint_there_are_no_values(tiny_agent: Path, tmp_path: Path) -> None:
+    shutil.copytree(tiny_agent, tmp_path / "agent", ignore=shutil.ignore_patterns("checkpoints"))
+    episode = Agent(tmp_path / "agent", "", seed=1, episodes=1).act(0)
+    assert episode.values is None and "Q" not in episode.lines()
+
+
+def test_an_episode_is_acted_once(agent: Agent) -> None:
+    assert agent.act(1) is agent.act(1)
+    assert agent.act(0).seed != agent.act(1).seed
+    lines = agent.act(0).lines()
+    assert {"reward", "Q", "action 0"} <= set(lines)
+    assert all(len(values) == len(agent.act(0)) - 1 for values in lines.values())
+
+
+def test_learning_curves_and_slides_are_not_blank(agent: Agent) -> None:
+    charts = learning_charts(agent.evaluations(), agent.metrics())
+    assert charts and all(chart.std() > 10 for chart in charts)
+    slide = episode_slide(agent, agent.act(0), 1)
+    assert slide.picture.std() > 10 and "seed" in slide.caption
+    assert learning_charts([], {}) == []

@@ -1,0 +1,102 @@
+"""The field as the viewer renders it, against the plain renderer; its surface, latents and probe."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.pretrain.config import SamplingConfig
+from nerf_rl.pretrain.linear_probe import encode_frames
+from nerf_rl.pretrain.rendering import render_images
+from nerf_rl.viewer.density_mesh import density_mesh, surface_net
+from nerf_rl.viewer.encoder_view import probe_table
+from nerf_rl.viewer.frames import Frame, read_frame
+from nerf_rl.viewer.latents import EncodedDataset, interpolate
+from nerf_rl.viewer.progressive import FreeCamera, render_progressively
+from nerf_rl.viewer.reconstruction import errors, render_views
+
+
+@pytest.fixture(scope="module")
+def encoded(tiny_encoder: Path, tiny_dataset: Path) -> EncodedDataset:
+    return EncodedDataset(str(tiny_encoder), tiny_encoder, MultiViewDataset(tiny_dataset))
+
+
+@pytest.fixture(scope="module")
+def frame(encoded: EncodedDataset) -> Frame:
+    return read_frame(encoded.dataset, 4)
+
+
+def test_the_finest_image_is_what_the_plain_renderer_gives(encoded: EncodedDataset, frame: Frame) -> None:
+    latent, rig = encoded.latent(frame), encoded.encoder.rig
+    camera = FreeCamera(rig.camera_from_world[0], np.deg2rad(45.0), 1.0)
+    images = list(render_progressively(encoded.folded(latent), camera, 12, [24, 48]))
+    assert [image.rgb.shape for image in images] == [(1, 12, 12, 3), (1, 24, 24, 3), (1, 48, 48, 3)]
+    plain = render_images(
+        encoded.field, latent, rig.intrinsics[:1], rig.camera_from_world[:1], 24, 24, SamplingConfig()
+    )
+    assert np.abs(images[1].rgb - plain.rgb).mean() < 0.03
+    assert np.abs(images[1].depth - plain.depth).mean() < 0.1
+
+
+def test_a_newer_picture_cancels_the_finer_ones(encoded: EncodedDataset, frame: Frame) -> None:
+    camera = FreeCamera(encoded.encoder.rig.camera_from_world[0], 0.8, 1.5)
+    seen: list[int] = []
+    for image in render_progressively(encoded.folded(encoded.latent(frame)), camera, 12, [24], lambda: bool(seen)):
+        seen.append(image.rgb.shape[2])
+    assert seen == [12]
+
+
+def test_a_camera_has_the_rays_of_its_field_of_view() -> None:
+    camera = FreeCamera(np.eye(4), np.deg2rad(90.0), 2.0)
+    assert camera.shape(128) == (64, 128)
+    origin, directions = camera.rays(2, 4)
+    assert origin.tolist() == [0.0, 0.0, 0.0]
+    assert np.allclose(directions[0], [-1.5, -0.5, 1.0]) and np.allclose(directions[-1], [1.5, 0.5, 1.0])
+
+
+def test_a_surface_net_of_a_ball_has_its_volume_and_faces_outwards() -> None:
+    grid = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 40)] * 3, indexing="ij"), axis=-1)
+    vertices, faces = surface_net(0.7 - np.linalg.norm(grid, axis=-1), 0.0)
+    points = vertices * (2.0 / 39.0) - 1.0
+    assert np.abs(np.linalg.norm(points, axis=-1) - 0.7).max() < 0.01
+    a, b, c = (points[faces[:, i]] for i in range(3))
+    volume = np.einsum("fi,fi->f", a, np.cross(b, c)).sum() / 6.0
+    assert np.isclose(volume, 4.0 / 3.0 * np.pi * 0.7**3, rtol=0.02)
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()  # watertight
+
+
+def test_the_mesh_of_a_density_lies_where_the_field_has_that_density(encoded: EncodedDataset, frame: Frame) -> None:
+    folded = encoded.folded(encoded.latent(frame))
+    centre = torch.tensor([encoded.field.bounds.centre])
+    level = float(folded(centre + 0.2 * torch.rand(200, 3))[0].median())
+    points, faces, colours = density_mesh(folded, level, resolution=24)
+    assert len(faces) and colours.shape == points.shape
+    density = folded(torch.from_numpy(points))[0]
+    assert np.abs(np.asarray(density) / level - 1.0).mean() < 0.1
+
+
+def test_latents_are_the_encoders_and_interpolation_ends_at_both(encoded: EncodedDataset, frame: Frame) -> None:
+    expected = encode_frames(encoded.encoder, encoded.dataset, np.array([4]))[0]
+    start, end = encoded.latent(frame), encoded.latent(read_frame(encoded.dataset, 9))
+    assert np.allclose(start, expected, atol=1e-5)
+    assert torch.equal(interpolate(start, end, 0.0), start) and torch.allclose(interpolate(start, end, 1.0), end)
+
+
+def test_the_probe_reads_its_training_frames_and_the_table_tells_the_error(encoded: EncodedDataset) -> None:
+    probe = encoded.fit_probe()
+    assert set(probe.names) <= set(encoded.dataset.columns("privileged"))
+    read = probe.read(torch.from_numpy(probe.latents[0]).float())
+    assert set(read) == set(probe.names)
+    table = probe_table({"hand_x": 0.1}, {"hand_x": 0.098})
+    assert "100.0" in table and "98.0" in table and "2.0" in table
+
+
+def test_errors_are_black_for_a_perfect_rendering(encoded: EncodedDataset, frame: Frame) -> None:
+    rendered = render_views(encoded.folded(encoded.latent(frame)), frame, [0])
+    assert rendered is not None and rendered[0].rgb.shape == (1, 24, 24, 3)
+    rendered[0].rgb[0] = frame.rgb[0] / 255.0
+    rendered[0].semantic[0], rendered[0].depth[0] = frame.semantic[0], frame.depth[0]
+    assert all(picture.max() < 5 for picture in errors(frame, 0, rendered[0], far=2.0))

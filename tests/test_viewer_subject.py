@@ -1,0 +1,101 @@
+"""What nerf-rl view makes of a path, and of mistakes."""
+
+import socket
+from pathlib import Path
+
+import pytest
+
+from nerf_rl import cli
+from nerf_rl.errors import MissingFileError, UserError
+from nerf_rl.viewer.config import ViewConfig
+from nerf_rl.viewer.server import free_port, where_to_look
+from nerf_rl.viewer.subject import Subject, find_subject
+
+
+def test_a_folder_is_told_by_its_files(tiny_dataset: Path, tiny_encoder: Path, tiny_agent: Path) -> None:
+    assert find_subject(tiny_dataset) is Subject.DATASET
+    assert find_subject(tiny_encoder) is Subject.ENCODER
+    assert find_subject(tiny_encoder / "encoder.safetensors") is Subject.ENCODER
+    assert find_subject(tiny_encoder / "checkpoints" / "last.ckpt") is Subject.ENCODER
+    assert find_subject(tiny_agent) is Subject.AGENT
+
+
+def test_a_foreign_folder_gets_one_sentence_that_says_what_was_expected(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["view", str(tmp_path)]) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert all(name in message for name in ("manifest.json", "encoder.json", "policy.json", str(tmp_path)))
+
+
+def test_a_missing_and_an_unfinished_folder_are_told_apart(tmp_path: Path) -> None:
+    with pytest.raises(MissingFileError, match="it does not exist"):
+        find_subject(tmp_path / "nothing")
+    (tmp_path / "plan.json").write_text("{}")
+    with pytest.raises(MissingFileError, match="an unfinished dataset"):
+        find_subject(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["manifest.json", "encoder.json", "policy.json"])
+def test_a_broken_folder_gets_one_sentence(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / name).write_text("{")
+    assert cli.main(["view", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_the_path_needs_no_key_wherever_it_stands() -> None:
+    for words in (["data/x", "--port", "80"], ["--port", "80", "data/x"], ["--port=80", "data/x"]):
+        config = cli.parse("view", words)
+        assert (config.path, config.port) == ("data/x", 80)
+    with pytest.raises(UserError, match="unknown key"):
+        cli.parse("report", ["data/x"])
+
+
+@pytest.mark.parametrize(
+    "keys, message",
+    [
+        ({"save": "x.png"}, "--save must be an .html file"),
+        ({"port": 70000}, "--port must be in 0 to 65535"),
+        ({"frames": 0}, "--frames must be at least 1"),
+        ({"seed": -1}, "--seed must not be negative"),
+    ],
+)
+def test_contradictions_are_rejected(keys: dict, message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        ViewConfig("data/x", **keys)
+
+
+def test_a_taken_port_is_a_mistake_and_zero_is_a_free_one() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(UserError, match="--port 0 takes a free port"):
+            free_port("127.0.0.1", taken.getsockname()[1])
+        assert free_port("127.0.0.1", 0) != taken.getsockname()[1]
+
+
+def test_over_ssh_the_forwarding_command_is_printed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("SSH_CONNECTION", raising=False)
+    assert "ssh" not in where_to_look("127.0.0.1", 4321)
+    monkeypatch.setenv("SSH_CONNECTION", "1.2.3.4 5 6.7.8.9 22")
+    assert "ssh -L 4321:localhost:4321" in where_to_look("127.0.0.1", 4321)
+    assert "http://localhost:4321" in where_to_look("0.0.0.0", 4321)
+    assert "whoever reaches this machine" in where_to_look("0.0.0.0", 4321)
+
+
+def test_an_existing_file_is_not_overwritten_unasked(
+    tiny_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "x.png").write_text("mine")
+    assert cli.main(["view", str(tiny_dataset), "--png", str(tmp_path / "x.png")]) == 2
+    assert "--overwrite true" in capsys.readouterr().err and (tmp_path / "x.png").read_text() == "mine"
+
+
+def test_an_encoder_whose_dataset_has_gone_asks_for_one(
+    tiny_encoder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("encoder.json", "encoder.safetensors", "field.json"):
+        (tmp_path / name).write_bytes((tiny_encoder / name).read_bytes())
+    assert cli.main(["view", str(tmp_path)]) == 2
+    assert "--data FOLDER" in capsys.readouterr().err
