@@ -31,6 +31,7 @@ class ScenePanel:
         self._server, self._dataset = server, dataset
         self.depth_range = depth_limits(first)
         self._frusta: list[viser.CameraFrustumHandle] = []
+        self._names: list[viser.LabelHandle] = []
         self._points: dict[str, viser.IcosphereHandle] = {}
         self._labels: dict[str, viser.LabelHandle] = {}
         self._cloud: viser.PointCloudHandle | None = None
@@ -67,13 +68,14 @@ class ScenePanel:
         for view, frustum in enumerate(self._frusta):
             frustum.wxyz, frustum.position = frustum_pose(frame.camera_from_world[view])
             frustum.image = frame.rgb[view]
+            self._names[view].position = frustum.position
         self._show_cloud(frame)
         for i, (name, position) in enumerate(frame.points.items()):
             if name not in self._points:
                 colour = [(240, 60, 60), (60, 160, 60), (200, 160, 0), (140, 60, 200)][i % 4]
                 self._points[name] = self._server.scene.add_icosphere(f"/state/{name}", radius=0.008, color=colour)
-                self._labels[name] = self._server.scene.add_label(f"/state/{name}/label", name)
-            self._points[name].position = position
+                self._labels[name] = self._server.scene.add_label(f"/names/{name}", name)
+            self._points[name].position = self._labels[name].position = position
 
     def _show_cloud(self, frame: Frame) -> None:
         if self.colouring.value == "hidden":
@@ -104,7 +106,7 @@ class ScenePanel:
                 color=_FRUSTUM_COLOURS.get(camera["role"], (120, 120, 120)),
                 image=frame.rgb[view],
             )
-            self._server.scene.add_label(f"/cameras/{camera['name']}/name", camera["name"])
+            self._names.append(self._server.scene.add_label(f"/names/{camera['name']}", camera["name"]))
             frustum.on_click(lambda event, frustum=frustum: look_through(event, frustum))
             self._frusta.append(frustum)
 

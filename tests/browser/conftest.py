@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import lightning  # noqa: F401  before software OpenGL: Triton, which it loads, crashes once another LLVM is there
 import pytest
 from looking import Look
 
@@ -21,8 +22,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session")
-def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """A headless browser with software rendering and a profile of its own."""
+def chromium(tiny_agent: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A headless browser with software rendering and a profile of its own.
+
+    What it is to look at is made before it starts: PyTorch must not be imported first inside Playwright's own loop.
+    """
     sync_api = pytest.importorskip("playwright.sync_api")
     executable = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     assert executable, "no Chromium found; make test-browser installs it where it may"

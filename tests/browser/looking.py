@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 SCREENSHOTS = Path(__file__).parents[2] / ".browser-tests"
-SECONDS = 60.0  # to wait for a condition; a slow machine may need them
+SECONDS = float(os.environ.get("BROWSER_TEST_SECONDS", "60"))  # to wait for a condition; a slow machine may need them
 
 
 class Viewer:
@@ -77,9 +77,8 @@ class Look:
 
     def set_number(self, label: str, value: int) -> None:
         """Type a value beside a slider."""
-        box = self.page.get_by_label(label, exact=True)
-        row = self.page.locator(f"xpath=//*[normalize-space(text())='{label}']/following::input[@type!='hidden'][1]")
-        target = row.first if not box.count() or box.first.get_attribute("type") is None else row.first
+        below = f"xpath=//*[normalize-space(text())='{label}']/following::input[@type!='hidden'][1]"
+        target = self.page.locator(below).first
         target.fill(str(value))
         target.press("Enter")
 
