@@ -1,5 +1,6 @@
 # make demo    set up, then the whole chain on drawer-open, ending in runs/demo/report.html
 # make test    set up, then all tests
+# make test-browser    set up with Chromium, then the tests that look at the viewer in it
 # make paper   set up, then the paper's experiments (hours); ends in the tables of rl/README.md
 # Other verbs: setup, format, check, build, clean. Set-up is done once, and again when pyproject.toml changes.
 
@@ -12,7 +13,7 @@ ENCODER := runs/demo/encoder
 AGENT := runs/demo/agent
 REPORT := runs/demo/report.html
 
-.PHONY: help setup demo paper format check test build clean
+.PHONY: help setup demo paper format check test test-browser build clean
 .DELETE_ON_ERROR:
 
 help:
@@ -64,6 +65,11 @@ check: $(READY)
 # TESTS narrows the run: make test TESTS="tests/test_cameras.py -x"
 test: $(READY)
 	$(BIN)/python -m pytest $(TESTS)
+
+# Screenshots are kept in .browser-tests/.
+test-browser: $(READY)
+	@sh tools/install_browser.sh
+	$(BIN)/python -m pytest -m browser tests/browser
 
 build: $(READY)
 	rm -rf build dist

@@ -71,6 +71,20 @@ class Look:
         content = self.page.screenshot(clip={"x": 460, "y": 200, "width": 620, "height": 500})
         return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR).astype(float)
 
+    def status(self) -> str:
+        """Return the line that says which frame is shown."""
+        texts = self.page.eval_on_selector_all("p", "lines => lines.map(line => line.innerText)")
+        return next((text for text in texts if "episode" in text or "step" in text), "")
+
+    def frusta(self) -> list[tuple[float, float]]:
+        """Return places on the page where the blue frames of the encoder's cameras are drawn, a few of them."""
+        picture = cv2.imdecode(np.frombuffer(self.page.screenshot(), np.uint8), cv2.IMREAD_COLOR).astype(int)
+        blue = (picture[..., 0] > 190) & (picture[..., 2] < 100) & (picture[..., 1] > 90) & (picture[..., 1] < 190)
+        blue[:, :450] = blue[:, 1040:] = False  # the panels
+        rows, columns = np.nonzero(blue)
+        chosen = np.linspace(0, len(rows) - 1, min(12, len(rows))).astype(int)
+        return [(float(columns[i]), float(rows[i])) for i in chosen]
+
     def images(self) -> list[str]:
         """Return the addresses of the panels' pictures; they change with their content."""
         return self.page.eval_on_selector_all("img", "images => images.map(i => i.src)")

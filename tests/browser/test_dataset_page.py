@@ -19,7 +19,7 @@ def test_the_page_shows_a_scene_and_every_camera(viewer: Viewer, look: Look) -> 
     look.open(viewer.url)
     look.until(lambda: len(look.images()) >= 5, "the cameras' pictures are missing")
     text = look.page.inner_text("body")
-    assert all(name in text for name in ("left", "right", "top", "random_0", "drawercase", "hand", "world"))
+    assert all(name in text for name in ("left", "right", "top", "random_0", "drawercase"))
 
 
 def test_the_slider_changes_the_pictures(viewer: Viewer, look: Look) -> None:
@@ -27,23 +27,21 @@ def test_the_slider_changes_the_pictures(viewer: Viewer, look: Look) -> None:
     look.until(lambda: len(look.images()) >= 5, "the cameras' pictures are missing")
     before = look.images()
     look.set_number("Episode", 2)
-    look.until(lambda: "episode 2" in look.page.inner_text("body"), "the status does not follow the slider")
+    look.until(lambda: "episode 2" in look.status(), "the status does not follow the slider")
     look.until(lambda: len(set(look.images()) - set(before)) >= 3, "the pictures do not follow the slider")
 
 
 def test_a_click_on_a_frustum_looks_through_it(viewer: Viewer, look: Look) -> None:
     look.open(viewer.url)
     before = look.canvas()
-    label = look.page.get_by_text("right", exact=True).last.bounding_box()
-    assert label is not None
     moved = False
-    for right, down in ((30, -20), (0, -40), (30, 20), (-30, -30), (0, 30), (-30, 20), (60, 0), (0, -70)):
-        look.page.mouse.click(label["x"] + label["width"] / 2 + right, label["y"] + down)
-        look.page.wait_for_timeout(1500)
+    for x, y in look.frusta():
+        look.page.mouse.click(x, y)
+        look.page.wait_for_timeout(2000)
         moved = np.abs(look.canvas() - before).mean() > 15
         if moved:
             break
-    assert moved, "no click on or near the frustum moved the camera"
+    assert moved, "no click on a frustum moved the camera"
     look.keep("through")
 
 
@@ -57,10 +55,9 @@ def test_a_class_can_be_hidden_and_the_cloud_coloured(viewer: Viewer, look: Look
 
 def test_play_goes_on_by_itself(viewer: Viewer, look: Look) -> None:
     look.open(viewer.url)
-    status = "p:has-text('frame ')"
-    before = look.page.inner_text(status)
+    before = look.status()
     look.page.get_by_role("button", name="Play").click()
-    look.until(lambda: look.page.inner_text(status) != before, "nothing plays")
+    look.until(lambda: look.status() != before, "nothing plays")
     look.page.get_by_role("button", name="Pause").click()
 
 

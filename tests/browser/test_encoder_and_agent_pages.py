@@ -37,7 +37,7 @@ def test_the_agents_page_shows_an_episode_and_its_learning(tiny_agent: Path, loo
         look.until(lambda: len(look.images()) >= 3, "the episode's pictures are missing")
         before = look.images()
         look.set_number("Step", 4)
-        look.until(lambda: "step 4 of" in look.page.inner_text("body"), "the status does not follow the slider")
+        look.until(lambda: "step 4 of" in look.status(), "the status does not follow the slider")
         look.until(lambda: look.images() != before, "the pictures do not follow the slider")
         look.keep("step")
         look.page.get_by_text("Learning", exact=True).click()
