@@ -56,9 +56,8 @@ def shoot(page: Page, path: Path, episode: int, tab: str) -> None:
     for _ in range(notices.count()):
         notices.first.click()
     if episode:
-        box = page.locator(
-            "xpath=//label[normalize-space(text())='Episode']/following::input[@type!='hidden'][1]"
-        ).first
+        below = "xpath=//label[normalize-space(text())='Episode']/following::input[@type!='hidden'][1]"
+        box = page.locator(below).first
         box.fill(str(episode % 900))
         box.press("Enter")
     page.get_by_text(tab, exact=True).first.click()

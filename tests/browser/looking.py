@@ -91,7 +91,7 @@ class Look:
 
     def set_number(self, label: str, value: int) -> None:
         """Type a value beside a slider."""
-        below = f"xpath=//*[normalize-space(text())='{label}']/following::input[@type!='hidden'][1]"
+        below = f"xpath=//label[normalize-space(text())='{label}']/following::input[@type!='hidden'][1]"
         target = self.page.locator(below).first
         target.fill(str(value))
         target.press("Enter")

@@ -48,7 +48,7 @@ def test_a_click_on_a_frustum_looks_through_it(viewer: Viewer, look: Look) -> No
 def test_a_class_can_be_hidden_and_the_cloud_coloured(viewer: Viewer, look: Look) -> None:
     look.open(viewer.url)
     before = look.canvas()
-    look.page.locator("xpath=//*[normalize-space(text())='Point cloud']/following::input[1]").first.click()
+    look.page.locator("xpath=//label[normalize-space(text())='Point cloud']/following::input[1]").first.click()
     look.page.get_by_role("option", name="semantic").click()
     look.until(lambda: np.abs(look.canvas() - before).mean() > 4, "the cloud keeps its colours")
 
