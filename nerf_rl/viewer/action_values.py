@@ -8,6 +8,7 @@ from numpy import ndarray
 from torch import nn
 
 from nerf_rl.rl.checkpoint import below, last_checkpoint, load_checkpoint
+from nerf_rl.rl.config import NetworkConfig
 from nerf_rl.rl.networks import Critic
 from nerf_rl.rl.normalisation import RunningNorm
 from nerf_rl.rl.policy import Policy
@@ -31,18 +32,18 @@ class ActionValues:
 
     @staticmethod
     def load(run: Path, policy: Policy) -> "ActionValues | None":
-        """Read the critic of a run; None if the run has no checkpoint with one."""
-        folder = last_checkpoint(run)
-        if folder is None:
+        """Read the critic of a run; None if the run has no checkpoint with one, as baselines do not."""
+        folder, network = last_checkpoint(run), policy.network
+        if folder is None or not isinstance(network, NetworkConfig):
             return None
         tensors = below(load_checkpoint(folder)[0], "agent")
         weights = below(tensors, "critic")
         if not weights:
             return None
-        critic = Critic(policy.observation_size, policy.action_size, policy.network)
+        critic = Critic(policy.observation_size, policy.action_size, network)
         critic.load_state_dict(weights)
         norm: nn.Module = nn.Identity()
-        if policy.network.standardise:
+        if network.standardise:
             norm = RunningNorm(policy.observation_size)
             norm.load_state_dict(below(tensors, "norm"))
         return ActionValues(norm, critic)
