@@ -112,5 +112,5 @@ class Look:
         self.page.screenshot(path=SCREENSHOTS / f"{self.name}-{what}.png")
 
     def _note(self, request: Any) -> None:
-        if not request.url.startswith(("http://localhost:", "data:", "blob:", "file:")):
+        if not request.url.startswith(("http://localhost:", "data:", "blob:", "file:", "about:")):
             self.foreign.append(request.url)

@@ -52,7 +52,7 @@ def test_a_saved_page_opens_from_its_file_alone(tiny_dataset: Path, tmp_path: Pa
     first = look.page.get_attribute(".slides img", "src")
     look.page.locator(".slides input").fill("2")
     assert look.page.get_attribute(".slides img", "src") != first
-    inside = look.page.frame_locator("iframe").locator("canvas")
+    inside = look.page.frame_locator("iframe").locator("canvas[data-engine]")
     inside.wait_for(timeout=60_000)
     inside.scroll_into_view_if_needed()
 
