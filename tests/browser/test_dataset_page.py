@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from looking import Look, Viewer
 
+from nerf_rl.datasets.reader import MultiViewDataset
+
 
 @pytest.fixture(scope="module")
 def viewer(tiny_dataset: Path) -> Iterator[Viewer]:
@@ -45,12 +47,24 @@ def test_a_click_on_a_frustum_looks_through_it(viewer: Viewer, look: Look) -> No
     look.keep("through")
 
 
-def test_a_class_can_be_hidden_and_the_cloud_coloured(viewer: Viewer, look: Look) -> None:
+def test_the_cloud_takes_the_colours_of_classes_and_a_class_can_be_hidden(
+    viewer: Viewer, tiny_dataset: Path, look: Look
+) -> None:
+    dataset = MultiViewDataset(tiny_dataset)
+    colour = dataset.palette[dataset.class_names.index("drawercase")][::-1].astype(float)  # blue, green, red
+
+    def drawn() -> int:
+        """Count pixels of the class's colour."""
+        return int((np.abs(look.canvas() - colour).max(-1) < 25).sum())
+
     look.open(viewer.url)
-    before = look.canvas()
+    assert drawn() < 10
     look.page.locator("xpath=//label[normalize-space(text())='Point cloud']/following::input[1]").first.click()
     look.page.get_by_role("option", name="semantic").click()
-    look.until(lambda: np.abs(look.canvas() - before).mean() > 4, "the cloud keeps its colours")
+    look.until(lambda: drawn() > 100, "the cloud keeps its colours")
+    look.page.get_by_text("Classes in the point cloud").click()
+    look.page.locator("xpath=//label[normalize-space(text())='drawercase']/following::input[1]").first.click()
+    look.until(lambda: drawn() < 10, "the class stays")
 
 
 def test_play_goes_on_by_itself(viewer: Viewer, look: Look) -> None:
