@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import lightning  # noqa: F401  before anything renders: Triton, which it loads, crashes after software OpenGL's LLVM
 import pytest
 
 from nerf_rl import cli  # before any test file imports mujoco, which reads the OpenGL backend's name once

@@ -132,6 +132,15 @@ def test_a_policy_comes_back_from_disk_the_same_and_knows_its_encoder(
         Policy.load(run, str(other))
 
 
+def test_a_policy_of_another_format_is_refused_in_a_sentence(run: Path, tmp_path: Path) -> None:
+    for name in ("policy.json", "policy.safetensors"):
+        (tmp_path / name).write_bytes((run / name).read_bytes())
+    old = json.loads((tmp_path / "policy.json").read_text()) | {"version": 1}
+    (tmp_path / "policy.json").write_text(json.dumps(old))
+    with pytest.raises(UserError, match="has format 1, this nerf-rl reads 2; train it again"):
+        Policy.load(tmp_path)
+
+
 def test_a_run_on_the_true_state_resumes_and_evaluates(tmp_path: Path) -> None:
     out = tmp_path / "state"
     assert cli.main(["train-rl", "--out", str(out), *SHORT, "--envs", "1", "--checkpoint_every", "60"]) == 0

@@ -8,6 +8,7 @@ from nerf_rl.errors import MissingFileError, UserError
 from nerf_rl.pretrain.artefact import WEIGHTS, read_description
 from nerf_rl.runs import read_json
 
+POLICY_VERSION = 2
 POLICY_WEIGHTS, POLICY_DESCRIPTION = "policy.safetensors", "policy.json"
 
 
@@ -48,6 +49,11 @@ def check_policy(run: Path, encoder: str = "") -> dict[str, Any]:
             remedy = "train one with nerf-rl train-rl"
             raise MissingFileError("a train-rl run with a policy", run, f"it holds no {name}", remedy)
     description = read_json(run / POLICY_DESCRIPTION)
+    if description.get("version") != POLICY_VERSION:
+        version = description.get("version")
+        raise UserError(
+            f"the policy in {run} has format {version}, this version reads {POLICY_VERSION}; train it again"
+        )
     env = description["env"]
     if env["encoder"] is not None:
         env["encoder"] = encoder or env["encoder"]

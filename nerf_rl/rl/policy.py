@@ -10,7 +10,7 @@ from numpy import ndarray
 from safetensors.torch import load_file
 from torch import nn
 
-from nerf_rl.rl.artefact import POLICY_DESCRIPTION, POLICY_WEIGHTS, check_policy
+from nerf_rl.rl.artefact import POLICY_DESCRIPTION, POLICY_VERSION, POLICY_WEIGHTS, check_policy
 from nerf_rl.rl.config import NetworkConfig
 from nerf_rl.rl.envs import EnvSpec, spec_from_json
 from nerf_rl.rl.networks import Actor, LayeredActor, LayeredConfig
@@ -18,7 +18,6 @@ from nerf_rl.rl.normalisation import RunningNorm
 from nerf_rl.runs import package_versions, write_json
 from nerf_rl.tensor_files import write_tensors
 
-_VERSION = 2
 _KINDS: dict[type, str] = {NetworkConfig: "ddpg", LayeredConfig: "layered"}
 
 
@@ -45,7 +44,7 @@ class Policy:
         """Write both files, each whole or not at all."""
         write_tensors(folder / POLICY_WEIGHTS, self.actor.state_dict())
         content: dict[str, Any] = {
-            "version": _VERSION,
+            "version": POLICY_VERSION,
             "env": asdict(self.spec),
             "network": {"kind": _KINDS[type(self.network)], **asdict(self.network)},
             "observation_size": self.observation_size,

@@ -85,6 +85,8 @@ class FieldPanel:
         for images in render_progressively(
             field, free_camera(client.camera), _COARSE, fine, lambda: stale() and time.monotonic() - start > _PATIENCE
         ):
+            if client.client_id not in self._workers:
+                return  # its page has been closed meanwhile
             longer = max(images.depth.shape)
             if longer > _COARSE or not stale():  # a moving camera is better off with the finer one of the next moment
                 picture = picture_of(images, mode, self._palette, self._depth_range)

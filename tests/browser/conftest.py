@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import lightning  # noqa: F401  before software OpenGL: Triton, which it loads, crashes once another LLVM is there
 import pytest
 from looking import Look
 
