@@ -80,7 +80,7 @@ def row(experiment: dict[str, Any], results: list[dict[str, Any]]) -> list[objec
         f"{len(solved)} of {len(results)}",
         spread([e["training_episodes"] for e in solved]),
         spread([e["env_steps"] for e in solved]),
-        f"{successes / episodes:.0%} ({low:.0%} to {high:.0%})",
+        f"{successes / episodes:.1%} ({low:.1%} to {high:.1%})",
         f"{ends[0]:,}" if ends[0] == ends[-1] else f"{ends[0]:,} to {ends[-1]:,}",
         f"`train-rl --config {experiment['recipe']}{keys}`",
     ]
@@ -123,7 +123,7 @@ def plot(axes: Axes, run: Run, quantity: str, colour: str, title: str | None) ->
         with open(run.folder / "metrics.csv", newline="", encoding="utf-8") as file:
             rows = [r for r in csv.DictReader(file) if r[quantity]]
         points = [(int(r["episodes"]), float(r[quantity])) for r in rows]
-    axes.plot(*zip(*points, strict=True), color=colour, alpha=0.6, linewidth=1, label=title)
+    axes.plot(*zip(*points, strict=True), color=colour, alpha=0.6, linewidth=1, marker=".", markersize=3, label=title)
 
 
 if __name__ == "__main__":
