@@ -137,7 +137,7 @@ def test_a_policy_of_another_format_is_refused_in_a_sentence(run: Path, tmp_path
         (tmp_path / name).write_bytes((run / name).read_bytes())
     old = json.loads((tmp_path / "policy.json").read_text()) | {"version": 1}
     (tmp_path / "policy.json").write_text(json.dumps(old))
-    with pytest.raises(UserError, match="has format 1, this nerf-rl reads 2; train it again"):
+    with pytest.raises(UserError, match="has format 1, this version reads 2; train it again"):
         Policy.load(tmp_path)
 
 

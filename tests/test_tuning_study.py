@@ -214,6 +214,18 @@ def test_trials_of_silent_workers_elsewhere_are_failed_after_a_while(
     assert [trial.state.name for trial in study.get_trials()] == ["FAIL", "RUNNING", "FAIL", "RUNNING"]
 
 
+def test_a_study_that_ends_leaves_no_trial_that_never_had_a_first_beat(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(heartbeat, "_START_PATIENCE", 0.2)
+    storage = open_storage("", tmp_path)
+    study = optuna.create_study(storage=storage)
+    study.ask()
+    Heart(storage).beat(study.ask()._trial_id)
+    LostTrials(storage).settle(study)
+    assert [trial.state.name for trial in study.get_trials()] == ["FAIL", "RUNNING"]
+
+
 def test_a_pid_that_another_process_has_taken_over_is_not_the_worker(tmp_path: Path) -> None:
     storage = open_storage("", tmp_path)
     study = optuna.create_study(storage=storage)

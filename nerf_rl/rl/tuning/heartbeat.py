@@ -91,6 +91,18 @@ class LostTrials:
                     lost.append(trial.number)
         return lost
 
+    def settle(self, study: Study) -> None:
+        """Fail the trials that are lost, also those whose worker ended between drawing them and its first beat.
+
+        Takes as long as a living worker may take to its first beat, if there is such a trial, and no time otherwise.
+        """
+        while True:
+            self.fail(study)
+            running = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
+            if all(HEARTBEAT in trial.user_attrs for trial in running):
+                return
+            time.sleep(0.1)
+
     def _reason(self, trial: FrozenTrial) -> str:
         """Return why a trial is lost, or nothing."""
         who: dict[str, Any] = trial.user_attrs.get(HEARTBEAT, {})

@@ -109,7 +109,7 @@ class _Workers(contextlib.AbstractContextManager):
             process.kill()
             process.join()
         storage = open_storage(self._task.storage, Path(self._task.out))
-        LostTrials(storage).fail(optuna.load_study(study_name=self._task.study, storage=storage))
+        LostTrials(storage).settle(optuna.load_study(study_name=self._task.study, storage=storage))
 
 
 @contextlib.contextmanager
