@@ -42,6 +42,22 @@ def look_at(
     return pose_from_rotation_position(rotation, position)
 
 
+def look_from(position: Float[ndarray, "3"], lookat: Float[ndarray, "3"]) -> Float[ndarray, "4 4"]:
+    """Return ``camera_from_world`` of a camera at a position that looks at a point, upright as far as it can be.
+
+    Args:
+        position: optical centre [m].
+        lookat: point on the optical axis [m].
+    """
+    forward = np.asarray(lookat, np.float64) - position
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    if np.linalg.norm(right) < 1e-9:  # straight up or down: the top of the image is where y grows
+        right = np.array([1.0, 0.0, 0.0])
+    right = right / np.linalg.norm(right)
+    return pose_from_rotation_position(np.stack([right, np.cross(forward, right), forward]), position)
+
+
 def pose_from_rotation_position(
     rotation: Float[ndarray, "3 3"], position: Float[ndarray, "3"]
 ) -> Float[ndarray, "4 4"]:

@@ -1,14 +1,14 @@
 """How episodes are acted, on a toy scene that remembers every action."""
 
-from collections.abc import Iterator
-
 import gymnasium
 import numpy as np
 import pytest
 
-from nerf_rl.datasets.behaviours import Moment, act_episode, require_behaviour
+from nerf_rl.datasets.behaviours import Behaviour, Moment
 from nerf_rl.datasets.config import BehaviourConfig
+from nerf_rl.datasets.rig_config import CameraConfig
 from nerf_rl.datasets.scenes import Policy, Scene
+from nerf_rl.datasets.workspace import Workspace
 from nerf_rl.errors import UserError
 
 RANDOM, SCRIPTED, NOISY = (BehaviourConfig(*weights, noise=0.3) for weights in np.eye(3).tolist())
@@ -48,6 +48,15 @@ class ToyScene(Scene):
 
     privileged = proprio
 
+    def workspace(self) -> Workspace:
+        return Workspace(np.zeros(3), 1.0)
+
+    def default_cameras(self) -> list[CameraConfig]:
+        return [CameraConfig("a")]
+
+    def observation(self) -> np.ndarray:
+        return np.zeros(2)
+
     def scripted_policy(self) -> Policy:
         return lambda observation: np.array([0.9, -0.5, 0.01 * observation[1]])
 
@@ -58,7 +67,7 @@ class Unscripted(ToyScene):
 
 
 def act(behaviour: BehaviourConfig, steps: int = 40, seed: int = 0) -> list[Moment]:
-    return list(act_episode(ToyScene(), behaviour, steps, np.random.default_rng(seed)))
+    return list(Behaviour(ToyScene(), behaviour, steps).act(0, np.random.default_rng(seed)))
 
 
 @pytest.mark.parametrize("behaviour", [RANDOM, SCRIPTED, NOISY])
@@ -73,7 +82,7 @@ def test_an_episode_has_a_moment_for_the_reset_and_for_each_step(behaviour: Beha
 @pytest.mark.parametrize("behaviour", [RANDOM, SCRIPTED, NOISY])
 def test_the_action_of_a_moment_is_the_one_taken_next_and_lies_in_the_box(behaviour: BehaviourConfig):
     scene = ToyScene()
-    moments = list(act_episode(scene, behaviour, 40, np.random.default_rng(1)))
+    moments = list(Behaviour(scene, behaviour, 40).act(0, np.random.default_rng(1)))
     assert isinstance(scene.env, ToyEnv)
     np.testing.assert_array_equal([moment.action for moment in moments[:-1]], scene.env.actions)
     assert all(scene.env.action_space.contains(moment.action) for moment in moments)
@@ -82,7 +91,7 @@ def test_the_action_of_a_moment_is_the_one_taken_next_and_lies_in_the_box(behavi
 def test_the_scene_is_in_the_state_of_the_moment_that_is_held():
     scene = ToyScene()
     assert isinstance(scene.env, ToyEnv)
-    for moment in act_episode(scene, SCRIPTED, 6, np.random.default_rng(0)):
+    for moment in Behaviour(scene, SCRIPTED, 6).act(0, np.random.default_rng(0)):
         assert scene.env.steps == moment.step
 
 
@@ -127,26 +136,38 @@ def test_an_episode_is_decided_by_its_random_stream():
     assert act(mixture, seed=3)[0].observation[0] != act(mixture, seed=4)[0].observation[0]
 
 
-def test_an_episode_that_ends_early_is_told_with_a_remedy():
-    episode: Iterator[Moment] = act_episode(ToyScene(ends_after=7), SCRIPTED, 10, np.random.default_rng(0))
-    with pytest.raises(UserError, match="toy ended an episode after 7 steps; lower --episode_steps"):
-        list(episode)
+def test_an_episode_that_ends_early_is_followed_by_another_whose_steps_count_anew():
+    scene = ToyScene(ends_after=7)
+    moments = list(Behaviour(scene, SCRIPTED, 10).act(0, np.random.default_rng(0)))
+    assert [moment.step for moment in moments] == [*range(7), 0, 1, 2, 3]
+    assert [moment.observation[1] for moment in moments] == [moment.step for moment in moments]
+    assert [moment.reward for moment in moments] == [moment.step for moment in moments]
+    assert [moment.success for moment in moments] == [moment.step >= 5 for moment in moments]
+    assert moments[6].observation[0] != moments[7].observation[0]  # with a seed of its own
 
 
 def test_a_scripted_behaviour_needs_a_scripted_policy():
     with pytest.raises(
-        UserError, match=r"toy has no scripted policy; set behaviour\.scripted and behaviour\.noisy to 0"
+        UserError, match=r"toy has no scripted policy; leave out behaviour\.scripted and behaviour\.noisy"
     ):
-        require_behaviour(Unscripted(), BehaviourConfig())
-    require_behaviour(Unscripted(), RANDOM)
-    require_behaviour(ToyScene(), BehaviourConfig())
+        Behaviour(Unscripted(), SCRIPTED, 5)
+    with pytest.raises(UserError, match=r"toy has no scripted policy; raise behaviour\.random above 0"):
+        Behaviour(Unscripted(), BehaviourConfig(random=0.0), 5)
+
+
+def test_without_a_scripted_policy_the_usual_mixture_is_random():
+    scene = Unscripted()
+    policy = ToyScene().scripted_policy()
+    for seed in range(20):
+        moments = list(Behaviour(scene, BehaviourConfig(), 4).act(0, np.random.default_rng(seed)))
+        assert not np.allclose(moments[0].action, policy(moments[0].observation))
 
 
 def test_discrete_actions_are_refused():
     scene = ToyScene()
     scene.env.action_space = gymnasium.spaces.Discrete(3)
     with pytest.raises(UserError, match="toy has no continuous actions"):
-        require_behaviour(scene, RANDOM)
+        Behaviour(scene, RANDOM, 5)
 
 
 @pytest.mark.parametrize("weights", [(0.0, 0.0, 0.0), (1.0, -0.1, 0.0)])

@@ -297,7 +297,7 @@ def test_simplified_meshes_have_the_masks_and_colours_of_the_full_ones(
 ):
     model, data = drawer_open.model, drawer_open.data
     act_randomly(drawer_open, 11)
-    classes = semantic_classes(model, drawer_open.robot_body, drawer_open.gripper_body)
+    classes = semantic_classes(model, drawer_open.parts)
     around = [(20.0, -30.0), (160.0, -30.0), (90.0, -70.0), (40.0, -50.0), (130.0, -20.0), (90.0, -40.0)]
     poses = np.stack([cameras.look_at(np.array([0.0, 0.68, 0.12]), 0.9, *angles) for angles in around])
     intrinsics = np.stack([cameras.intrinsics_from_fovy(45.0, size, size)] * len(poses))

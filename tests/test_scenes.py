@@ -98,8 +98,10 @@ def test_every_task_has_named_columns_and_a_scripted_policy(task: str):
     assert scene.proprio(observation).shape == (len(scene.proprio_names),)
     assert scene.privileged(observation).shape == (len(scene.privileged_names),)
     assert np.isfinite(scene.privileged(observation)).all()
-    names = [scene.model.body(body).name for body in range(scene.model.nbody)]
-    assert scene.robot_body in names and scene.gripper_body in names
+    assert [scene.model.body(body).name for body in (*scene.parts.robot, *scene.parts.gripper)] == [
+        "base",
+        "right_hand",
+    ]
     policy = scene.scripted_policy()
     assert policy is not None
     action = policy(observation)

@@ -1,9 +1,12 @@
 """Semantic classes: from the body tree, or from patterns."""
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 import pytest
 
+from nerf_rl.datasets.body_parts import BodyParts, find_parts, named_parts
 from nerf_rl.datasets.config import ClassConfig
 from nerf_rl.datasets.scenes import Scene
 from nerf_rl.datasets.semantics import geom_path, palette, semantic_classes
@@ -13,6 +16,7 @@ CABINET = """
 <mujoco>
   <worldbody>
     <geom name="floor" type="plane" size="1 1 1"/>
+    <body name="table"><geom name="board" size="0.1"/></body>
     <body name="lamp"><geom name="shade" size="0.1"/></body>
     <body name="cabinet">
       <geom name="case" size="0.1"/>
@@ -32,16 +36,21 @@ def cabinet() -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(CABINET)
 
 
-def class_of(model: mujoco.MjModel, *arguments, **named) -> dict[str, str]:
+def parts(model: mujoco.MjModel) -> BodyParts:
+    return named_parts(model, "base", "hand", ("table",))
+
+
+def class_of(model: mujoco.MjModel, parts: BodyParts, patterns: Sequence[ClassConfig] = ()) -> dict[str, str]:
     """Return the class name of each geom path."""
-    classes = semantic_classes(model, *arguments, **named)
+    classes = semantic_classes(model, parts, patterns)
     return {geom_path(model, geom): classes.names[classes.geom_class[geom]] for geom in range(model.ngeom)}
 
 
 def test_classes_follow_from_the_body_tree(cabinet: mujoco.MjModel):
-    assert class_of(cabinet, "base", "hand") == {
+    assert class_of(cabinet, parts(cabinet)) == {
         "floor": "background",
-        "lamp/shade": "background",
+        "table/board": "background",
+        "lamp/shade": "lamp",
         "cabinet/case": "cabinet",
         "cabinet/door/panel": "door",
         "cabinet/door/knob/ball": "door",
@@ -54,7 +63,7 @@ def test_classes_follow_from_the_body_tree(cabinet: mujoco.MjModel):
 
 def test_drawer_open_has_robot_gripper_case_and_drawer(drawer_open: Scene):
     model = drawer_open.model
-    classes = semantic_classes(model, drawer_open.robot_body, drawer_open.gripper_body)
+    classes = semantic_classes(model, drawer_open.parts)
     assert sorted(classes.names) == ["background", "drawer", "drawercase", "gripper", "robot"]
     assert classes.names[0] == "background"
     for geom in range(model.ngeom):
@@ -67,31 +76,31 @@ def test_drawer_open_has_robot_gripper_case_and_drawer(drawer_open: Scene):
 
 def test_the_first_matching_pattern_decides_before_the_tree(cabinet: mujoco.MjModel):
     patterns = [ClassConfig("knob", "knob/ball$"), ClassConfig("furniture", "^(cabinet|lamp)/")]
-    classes = class_of(cabinet, "base", "hand", patterns=patterns)
+    classes = class_of(cabinet, parts(cabinet), patterns)
     assert classes["cabinet/door/knob/ball"] == "knob"
     assert classes["cabinet/door/panel"] == classes["lamp/shade"] == "furniture"
     assert classes["base/arm/link"] == "robot"
 
 
 def test_a_pattern_may_put_geoms_into_the_background(cabinet: mujoco.MjModel):
-    classes = semantic_classes(cabinet, "base", "hand", [ClassConfig("background", "cabinet/case")])
+    classes = semantic_classes(cabinet, parts(cabinet), [ClassConfig("background", "cabinet/case")])
     assert classes.names.count("background") == 1 and "cabinet" not in classes.names
     assert classes.geom_class[cabinet.geom("case").id] == 0
 
 
 def test_a_pattern_without_a_match_is_answered_with_the_paths(cabinet: mujoco.MjModel):
     with pytest.raises(UserError, match=r"class 'window': no geom matches 'glass'; available: .*cabinet/door/panel"):
-        semantic_classes(cabinet, None, None, [ClassConfig("window", "glass")])
+        semantic_classes(cabinet, BodyParts(), [ClassConfig("window", "glass")])
 
 
 def test_a_broken_pattern_is_named(cabinet: mujoco.MjModel):
     with pytest.raises(UserError, match=r"class 'door': '\(' is no regular expression"):
-        semantic_classes(cabinet, None, None, [ClassConfig("door", "(")])
+        semantic_classes(cabinet, BodyParts(), [ClassConfig("door", "(")])
 
 
 def test_labels_are_looked_up_by_geom_and_nothing_hit_is_background(cabinet: mujoco.MjModel):
-    classes = semantic_classes(cabinet, "base", "hand")
-    geoms = np.arange(-1, cabinet.ngeom, dtype=np.int32).reshape(2, -1)
+    classes = semantic_classes(cabinet, parts(cabinet))
+    geoms = np.arange(-1, cabinet.ngeom - 1, dtype=np.int32).reshape(2, -1)
     expected = [0 if geom < 0 else classes.geom_class[geom] for geom in geoms.ravel()]
     labels = classes.label(geoms)
     np.testing.assert_array_equal(labels.ravel(), expected)
@@ -103,3 +112,39 @@ def test_colours_of_classes_differ_visibly():
     distances = np.linalg.norm(colours[:, None] - colours[None], axis=-1) + 1e3 * np.eye(12)
     assert distances.min() > 20
     np.testing.assert_array_equal(palette(3), colours[:3])
+
+
+def test_fixed_trees_that_cannot_be_seen_are_background_and_unnamed_ones_are_fixtures():
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody>
+        <body name="ghost"><geom name="a" size="0.1" group="4"/></body>
+        <body name="target" mocap="true"><geom name="b" size="0.1"/></body>
+        <body><geom name="c" size="0.1"/></body>
+        <body><freejoint/><geom name="d" size="0.1"/></body>
+        </worldbody></mujoco>"""
+    )
+    names = class_of(model, BodyParts())
+    assert names == {"ghost/a": "background", "target/b": "background", "/c": "fixture_3", "/d": "object_4"}
+
+
+def test_parts_of_an_unknown_model_follow_from_actuators_and_names():
+    model = mujoco.MjModel.from_xml_path("datasets/scenes/blocks.xml")
+    found = find_parts(model)
+    assert [model.body(body).name for body in found.robot] == ["arm"]
+    assert [model.body(body).name for body in found.gripper] == ["hand"]
+    assert [model.body(body).name for body in found.surroundings] == ["table"]
+    names = set(class_of(model, found).values())
+    assert names == {"background", "robot", "gripper", "shelf", "red_block", "green_block", "blue_block"}
+
+
+def test_tendons_sites_and_bodies_that_actuators_pull_make_a_robot_too():
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody>
+        <body name="by_tendon"><joint name="j"/><geom size="0.1"/></body>
+        <body name="by_site"><joint/><geom size="0.1"/><site name="s"/></body>
+        <body name="by_body"><joint/><geom size="0.1"/></body>
+        <body name="thing"><joint/><geom size="0.1"/></body></worldbody>
+        <tendon><fixed name="t"><joint joint="j" coef="1"/></fixed></tendon>
+        <actuator><motor tendon="t"/><motor site="s"/><adhesion body="by_body" ctrlrange="0 1"/></actuator></mujoco>"""
+    )
+    assert [model.body(body).name for body in find_parts(model).robot] == ["by_tendon", "by_site", "by_body"]

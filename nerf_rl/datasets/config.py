@@ -3,84 +3,8 @@
 import dataclasses
 from dataclasses import dataclass, field
 
+from nerf_rl.datasets.rig_config import RigConfig
 from nerf_rl.errors import UserError
-
-
-@dataclass
-class CameraConfig:
-    """A camera that looks at a point; azimuth and elevation are those of the viewing direction, as in MuJoCo."""
-
-    name: str
-    """name in the dataset"""
-    lookat: list[float] = field(default_factory=lambda: [0.0, 0.68, 0.12])
-    """point on the optical axis, in the world or in the body's frame [m]"""
-    distance: float = 0.9
-    """from the camera to that point [m]"""
-    azimuth: float = 90.0
-    """heading of the viewing direction around world z [degrees]"""
-    elevation: float = -30.0
-    """inclination of the viewing direction, negative looks down [degrees]"""
-    fovy: float = 45.0
-    """vertical field of view [degrees]"""
-
-    def __post_init__(self) -> None:
-        if len(self.lookat) != 3:
-            raise UserError(f"camera '{self.name}': lookat needs 3 numbers, got {len(self.lookat)}")
-        if self.distance <= 0 or not -90 < self.elevation < 90 or not 0 < self.fovy < 180:
-            raise UserError(
-                f"camera '{self.name}': distance must be positive, elevation in (-90, 90) and fovy in (0, 180)"
-            )
-
-
-def default_cameras() -> list[CameraConfig]:
-    """Return three views of Meta-World's table: from either side and from above."""
-    return [
-        CameraConfig("left", azimuth=20.0, elevation=-30.0),
-        CameraConfig("right", azimuth=160.0, elevation=-30.0),
-        CameraConfig("top", azimuth=90.0, elevation=-70.0),
-    ]
-
-
-@dataclass
-class RandomCameraConfig:
-    """Supervision cameras with a fresh pose in each frame, uniform in ranges [low, high]."""
-
-    count: int = 0
-    """how many such cameras each frame has"""
-    lookat: list[float] = field(default_factory=lambda: [0.0, 0.68, 0.12])
-    """centre of the box that the look-at point is drawn from [m]"""
-    lookat_spread: float = 0.05
-    """half the edge of that box [m]"""
-    distance: list[float] = field(default_factory=lambda: [0.7, 1.1])
-    """distance to the look-at point [m]"""
-    azimuth: list[float] = field(default_factory=lambda: [10.0, 170.0])
-    """heading of the viewing direction [degrees]"""
-    elevation: list[float] = field(default_factory=lambda: [-75.0, -15.0])
-    """inclination of the viewing direction [degrees]"""
-    fovy: float = 45.0
-    """vertical field of view [degrees]"""
-
-    def __post_init__(self) -> None:
-        if self.count < 0 or len(self.lookat) != 3:
-            raise UserError("random cameras need a count of 0 or more and a lookat of 3 numbers")
-        for name in ("distance", "azimuth", "elevation"):
-            limits = getattr(self, name)
-            if len(limits) != 2 or limits[0] > limits[1]:
-                raise UserError(f"random cameras: {name} needs [low, high], got {limits}")
-
-
-@dataclass
-class RigConfig:
-    """Cameras of a dataset. Encoder cameras feed the encoder; all but test cameras supervise the radiance field."""
-
-    cameras: list[CameraConfig] = field(default_factory=default_cameras)
-    """fixed cameras"""
-    encoder: list[str] = field(default_factory=list)
-    """names of the cameras that the encoder sees (all fixed cameras if empty)"""
-    test: list[str] = field(default_factory=list)
-    """names of cameras kept out of training"""
-    random: RandomCameraConfig = field(default_factory=RandomCameraConfig)
-    """further supervision cameras with a fresh pose in each frame"""
 
 
 @dataclass
@@ -89,21 +13,34 @@ class BehaviourConfig:
 
     random: float = 0.3
     """weight of random actions, each held for a few steps"""
-    scripted: float = 0.2
-    """weight of the task's scripted policy"""
-    noisy: float = 0.5
-    """weight of the scripted policy with noise and random detours"""
+    scripted: float | None = None
+    """weight of the task's scripted policy; none: 0.2 if it has one"""
+    noisy: float | None = None
+    """weight of the scripted policy with noise and random detours; none: 0.5 if the task has one"""
+    replay: float = 0.0
+    """weight of states stored earlier; with several episodes stored, each episode replays the one of its own number"""
+    states: str = ""
+    """what to replay: a dataset of the same model, or an .npz file with qpos [T, nq] or [E, T, nq], and perhaps qvel"""
     noise: float = 0.6
     """standard deviation of the noise on scripted actions (actions are in [-1, 1])"""
 
     def __post_init__(self) -> None:
-        weights = self.weights()
+        weights = self.weights(scripted=True)
         if min(weights) < 0 or sum(weights) <= 0:
             raise UserError("behaviour weights must not be negative and must not all be zero")
+        if (self.replay > 0) != bool(self.states):
+            raise UserError("behaviour.replay is the weight and behaviour.states the source of a replay: give both")
 
-    def weights(self) -> list[float]:
-        """Return the weights of random, scripted and noisy episodes."""
-        return [self.random, self.scripted, self.noisy]
+    def weights(self, scripted: bool) -> list[float]:
+        """Return the weights of random, scripted, noisy and replayed episodes.
+
+        Args:
+            scripted: whether the task has a scripted policy.
+        """
+        chosen = (self.scripted, self.noisy)
+        usual = (0.2, 0.5) if scripted else (0.0, 0.0)
+        by_policy = [default if weight is None else weight for weight, default in zip(chosen, usual, strict=True)]
+        return [self.random, *by_policy, self.replay]
 
 
 @dataclass
@@ -123,7 +60,7 @@ class GenDatasetConfig:
     out: str
     """output folder"""
     scene: str = "metaworld/drawer-open-v3"
-    """metaworld/TASK, gym/ID or the path of an MJCF file"""
+    """metaworld/TASK, gym/ID or the path of an MJCF file (.xml or .mjcf)"""
     episodes: int = 200
     """episodes, each with its own reset"""
     frames_per_episode: int = 8

@@ -6,7 +6,6 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
-from nerf_rl.datasets.behaviours import require_behaviour
 from nerf_rl.datasets.config import GenDatasetConfig
 from nerf_rl.datasets.semantics import palette
 from nerf_rl.datasets.shard_rendering import (
@@ -44,7 +43,6 @@ def generate_dataset(config: GenDatasetConfig) -> None:
     folder = Path(config.out)
     _check(folder, config)
     studio = open_studio(config)
-    require_behaviour(studio.scene, config.behaviour)
     _prepare(folder, config)
     print(f"writing {config.episodes * config.frames_per_episode} frames x {len(studio.rig.names)} views to {folder}")
     gl_renderer = studio.renderer.gl_renderer

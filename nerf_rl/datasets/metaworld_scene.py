@@ -13,9 +13,13 @@ from metaworld.env_dict import ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE, ENV_CLS_MAP
 from metaworld.policies import ENV_POLICY_MAP
 from numpy import ndarray
 
+from nerf_rl.datasets.body_parts import named_parts
+from nerf_rl.datasets.rig_config import CameraConfig
 from nerf_rl.datasets.scenes import METAWORLD, Policy, Scene
+from nerf_rl.datasets.workspace import Workspace
 from nerf_rl.errors import UnknownNameError
 
+_CENTRE, _DISTANCE = (0.0, 0.68, 0.12), 0.9  # [m] of the table's part where things are, and from where cameras see it
 _FIRST_OBJECT = {"drawer-open-v3": "handle", "drawer-close-v3": "handle", "door-open-v3": "handle"}
 
 
@@ -58,8 +62,6 @@ class MetaWorldScene(Scene):
     """
 
     proprio_names = ("hand_x", "hand_y", "hand_z", "gripper")
-    robot_body = "base"
-    gripper_body = "right_hand"
 
     def __init__(self, task: str):
         if task not in ENV_CLS_MAP:
@@ -68,6 +70,7 @@ class MetaWorldScene(Scene):
         self._task = task
         env: Any = SeededMetaWorld(task)
         self.env = env
+        self.parts = named_parts(self.model, "base", "right_hand", ("tablelink", "RetainingWall"))
         thing = _FIRST_OBJECT.get(task, "object")
         self._second = env.unwrapped._get_pos_objects().size > 3
         groups = ("hand", thing, *(("second_object",) if self._second else ()), "goal")
@@ -82,6 +85,24 @@ class MetaWorldScene(Scene):
         env: Any = self.env.unwrapped
         second = observation[11:14] if self._second else observation[:0]
         return np.concatenate([observation[:3], observation[4:7], second, env._target_pos])
+
+    def observation(self) -> ndarray:
+        """Return Meta-World's observation of the present state, as if nothing had moved in the last step."""
+        env: Any = self.env.unwrapped
+        env._prev_obs = env._get_curr_obs_combined_no_goal()
+        return env._get_obs().astype(np.float64)
+
+    def workspace(self) -> Workspace:
+        """Return the part of the table where things are."""
+        return Workspace(np.array(_CENTRE), _DISTANCE * float(np.sin(np.deg2rad(45.0 / 2))))
+
+    def default_cameras(self) -> list[CameraConfig]:
+        """Return three views of the table: from either side and from above."""
+        views = (("left", 20.0, -30.0), ("right", 160.0, -30.0), ("top", 90.0, -70.0))
+        return [
+            CameraConfig(name, lookat=list(_CENTRE), distance=_DISTANCE, azimuth=azimuth, elevation=elevation)
+            for name, azimuth, elevation in views
+        ]
 
     def scripted_policy(self) -> Policy:
         """Return Meta-World's scripted policy of the task."""

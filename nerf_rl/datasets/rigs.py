@@ -2,63 +2,133 @@
 
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from nerf_rl.cameras import intrinsics_from_fovy, look_at
-from nerf_rl.datasets.config import RigConfig
+from nerf_rl.cameras import camera_position, intrinsics_from_fovy, look_at
+from nerf_rl.datasets.camera_mounts import Mount, body_id, mount
+from nerf_rl.datasets.rig_config import CameraConfig, DomeConfig, RandomCameraConfig, RigConfig, RingConfig
+from nerf_rl.datasets.scenes import Scene
+from nerf_rl.datasets.workspace import Workspace
 from nerf_rl.errors import UnknownNameError, UserError
 
 ROLES = ("encoder", "supervision", "test")
+_SPREAD = 1 / 7  # of random look-at points, in radii of the workspace
+_DISTANCES = (0.8, 1.2)  # of random cameras, in fitted distances
 
 
 @dataclass(frozen=True)
 class Rig:
-    """Cameras in the order of the dataset's view axis: the fixed ones, then those with a fresh pose in each frame."""
+    """Cameras in the order of the dataset's view axis: the configured ones, then those that are random."""
 
     names: tuple[str, ...]
     roles: tuple[str, ...]
     """``encoder`` cameras feed the encoder and supervise; ``supervision`` ones supervise; ``test`` ones do neither"""
     intrinsics: Float[ndarray, "V 3 3"]
-    _config: RigConfig
+    moving: bool
+    """whether poses differ from frame to frame"""
+    _mounts: tuple[Mount, ...]
+    _random: "_RandomCameras"
 
-    @property
-    def moving(self) -> bool:
-        """Whether poses differ from frame to frame."""
-        return self._config.random.count > 0
+    def poses(self, data: mujoco.MjData, rng: np.random.Generator) -> Float[ndarray, "V 4 4"]:
+        """Return ``camera_from_world`` of all cameras in a state, drawing those that are random.
 
-    def poses(self, rng: np.random.Generator) -> Float[ndarray, "V 4 4"]:
-        """Return ``camera_from_world`` of all cameras in one frame, drawing those that are random."""
-        fixed = [look_at(np.array(c.lookat), c.distance, c.azimuth, c.elevation) for c in self._config.cameras]
-        ranges = self._config.random
-        for _ in range(ranges.count):
-            centre = np.array(ranges.lookat) + rng.uniform(-ranges.lookat_spread, ranges.lookat_spread, 3)
-            drawn = [rng.uniform(low, high) for low, high in (ranges.distance, ranges.azimuth, ranges.elevation)]
-            fixed.append(look_at(centre, *drawn))
-        return np.stack(fixed)
+        Args:
+            data: the state, with positions propagated.
+            rng: for the random cameras; untouched if there are none.
+        """
+        return np.stack([*(place(data) for place in self._mounts), *self._random.poses(data, rng)])
+
+    def nearest(self, data: mujoco.MjData, workspace: Workspace) -> Float[ndarray, "V"]:
+        """Return how near to the workspace's middle each camera can come [m]."""
+        positions = camera_position(np.stack([place(data) for place in self._mounts]))
+        fixed = np.linalg.norm(positions - workspace.centre, axis=1)
+        return np.concatenate([fixed, np.full(self._random.count, self._random.nearest)])
 
 
-def make_rig(config: RigConfig, size: int) -> Rig:
+def make_rig(config: RigConfig, size: int, scene: Scene) -> Rig:
     """Return the rig of a configuration for square images [pixels].
 
+    Args:
+        config: the cameras.
+        size: image height and width [pixels].
+        scene: what they look at.
+
     Raises:
-        UserError: a role names an unknown camera, two cameras share a name, or no camera feeds the encoder.
+        UserError: a camera, body or role name that is unknown, two cameras of one name, or no camera for the encoder.
     """
-    fixed = [camera.name for camera in config.cameras]
-    names = (*fixed, *(f"random_{i}" for i in range(config.random.count)))
+    groups = {camera.name: [camera] for camera in config.cameras}
+    if len(groups) < len(config.cameras):
+        raise UserError(f"camera names must differ: {', '.join(camera.name for camera in config.cameras)}")
+    several: list[RingConfig | DomeConfig] = [*config.rings, *config.domes]
+    for group in several:
+        if group.name in groups:
+            raise UserError(f"two cameras, rings or domes are named '{group.name}'")
+        groups[group.name] = group.cameras()
+    if not groups:
+        groups = {camera.name: [camera] for camera in scene.default_cameras()}
+    cameras = [camera for group in groups.values() for camera in group]
+    names = [camera.name for camera in cameras]
+    names += [f"random_{i}" for i in range(config.random.count)]
     if len(set(names)) < len(names):
         raise UserError(f"camera names must differ: {', '.join(names)}")
-    for role in ("encoder", "test"):
-        for name in getattr(config, role):
-            if name not in fixed:
-                raise UnknownNameError(f"{role} camera", name, fixed)
-    both = set(config.encoder) & set(config.test)
+
+    model, workspace = scene.model, scene.workspace()
+    mounted = [mount(camera, model, workspace) for camera in cameras]
+    random = _RandomCameras(config.random, model, workspace)
+    fovy = [angle for _, angle, _ in mounted] + [config.random.fovy] * config.random.count
+    return Rig(
+        names=tuple(names),
+        roles=_roles(config, groups, names),
+        intrinsics=np.stack([intrinsics_from_fovy(angle, size, size) for angle in fovy]),
+        moving=any(moves for _, _, moves in mounted) or config.random.count > 0,
+        _mounts=tuple(place for place, _, _ in mounted),
+        _random=random,
+    )
+
+
+def _roles(config: RigConfig, groups: dict[str, list[CameraConfig]], names: list[str]) -> tuple[str, ...]:
+    """Return the role of each camera; the last ones in ``names``, which no group holds, are the random ones."""
+    single = {camera.name: [camera] for group in groups.values() for camera in group}
+    known = {**single, **groups}
+
+    def named(role: str) -> list[str]:
+        wanted = getattr(config, role)
+        for name in wanted:
+            if name not in known:
+                raise UnknownNameError(f"{role} camera", name, known)
+        return [camera.name for name in wanted for camera in known[name]]
+
+    encoder, test = named("encoder"), named("test")
+    both = set(encoder) & set(test)
     if both:
         raise UserError(f"camera '{min(both)}' cannot be an encoder camera and a test camera")
-    encoder = config.encoder or [name for name in fixed if name not in config.test]
+    encoder = encoder or [name for name in single if name not in test]
     if not encoder:
-        raise UserError("the rig needs at least one fixed camera for the encoder: rig.cameras is empty or all are test")
-    roles = tuple("encoder" if n in encoder else "test" if n in config.test else "supervision" for n in names)
-    fovy = [camera.fovy for camera in config.cameras] + [config.random.fovy] * config.random.count
-    return Rig(names, roles, np.stack([intrinsics_from_fovy(angle, size, size) for angle in fovy]), config)
+        raise UserError("the rig needs a camera for the encoder that is neither random nor a test camera")
+    return tuple("encoder" if n in encoder else "test" if n in test else "supervision" for n in names)
+
+
+class _RandomCameras:
+    """Cameras with a fresh pose in each frame."""
+
+    def __init__(self, config: RandomCameraConfig, model: mujoco.MjModel, workspace: Workspace):
+        self.count = config.count
+        self._body = body_id(model, config.follow, "random cameras") if config.follow else None
+        self._centre = np.array(config.lookat or (workspace.centre if self._body is None else np.zeros(3)), np.float64)
+        self._spread = workspace.radius * _SPREAD if config.lookat_spread is None else config.lookat_spread
+        fitted = workspace.distance(config.fovy)
+        distance = config.distance or [share * fitted for share in _DISTANCES]
+        self._ranges = (distance, config.azimuth, config.elevation)
+        self.nearest = distance[0]
+
+    def poses(self, data: mujoco.MjData, rng: np.random.Generator) -> list[Float[ndarray, "4 4"]]:
+        offset = np.zeros(3) if self._body is None else data.xpos[self._body]
+        drawn = []
+        for _ in range(self.count):
+            centre = self._centre + rng.uniform(-self._spread, self._spread, 3)
+            view = [rng.uniform(low, high) for low, high in self._ranges]
+            drawn.append(look_at(centre + offset, *view))
+        return drawn

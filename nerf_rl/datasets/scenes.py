@@ -1,20 +1,27 @@
 """Scenes: a MuJoCo environment with named state columns, found by name."""
 
+import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import gymnasium
 import mujoco
+import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from nerf_rl.datasets.body_parts import BodyParts
+from nerf_rl.datasets.rig_config import CameraConfig
+from nerf_rl.datasets.workspace import Workspace
 from nerf_rl.errors import UserError
 
-METAWORLD = "metaworld/"
+METAWORLD, GYM = "metaworld/", "gym/"
+_MJCF_ENDINGS = (".xml", ".mjcf")
 
-Policy = Callable[[ndarray], ndarray]
-"""From an observation [O] to an action [A] in [-1, 1]."""
+Policy = Callable[[Any], ndarray]
+"""From an observation to an action [A] in [-1, 1]."""
 
 
 class Scene(ABC):
@@ -23,15 +30,13 @@ class Scene(ABC):
     name: str
     """the name that :func:`make_scene` takes"""
     env: gymnasium.Env
-    """``reset(seed=...)`` decides everything random in the episode; positions are current after a reset or a step"""
+    """``reset(seed=...)`` decides everything random in the episode"""
+    parts: BodyParts
+    """which bodies are the robot, its gripper and the surroundings"""
     proprio_names: tuple[str, ...]
     """what the robot knows of itself"""
     privileged_names: tuple[str, ...]
     """what only the simulator knows: hand, objects and goal [m]"""
-    robot_body: str | None = None
-    """root body of the robot, if known"""
-    gripper_body: str | None = None
-    """root body of the gripper, if known"""
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -43,34 +48,82 @@ class Scene(ABC):
         """The simulation's state."""
         return self.env.unwrapped.data  # type: ignore[attr-defined]
 
+    def shown(self) -> mujoco.MjData:
+        """Return the state to be drawn, with positions propagated from ``qpos``; the simulation is untouched."""
+        return self.data
+
     @abstractmethod
-    def proprio(self, observation: Float[ndarray, "O"]) -> Float[ndarray, "P"]:
+    def proprio(self, observation: Any) -> Float[ndarray, "P"]:
         """Return the values of ``proprio_names``."""
 
     @abstractmethod
-    def privileged(self, observation: Float[ndarray, "O"]) -> Float[ndarray, "Q"]:
+    def privileged(self, observation: Any) -> Float[ndarray, "Q"]:
         """Return the values of ``privileged_names``."""
+
+    @abstractmethod
+    def workspace(self) -> Workspace:
+        """Return where something happens, after a reset."""
+
+    @abstractmethod
+    def default_cameras(self) -> list[CameraConfig]:
+        """Return cameras that suit the scene."""
+
+    @abstractmethod
+    def observation(self) -> Any:
+        """Return the environment's observation of its present state."""
 
     def scripted_policy(self) -> Policy | None:
         """Return a fresh instance of the task's scripted policy, or None if it has none."""
         return None
+
+    def set_state(
+        self,
+        qpos: Float[ndarray, "nq"],
+        qvel: Float[ndarray, "nv"],
+        mocap_pos: Float[ndarray, "nmocap 3"] | None = None,
+        mocap_quat: Float[ndarray, "nmocap 4"] | None = None,
+    ) -> None:
+        """Put the simulation into a state and propagate positions."""
+        self.data.qpos[:], self.data.qvel[:] = qpos, qvel
+        if mocap_pos is not None and mocap_quat is not None:
+            self.data.mocap_pos[:], self.data.mocap_quat[:] = mocap_pos, mocap_quat
+        mujoco.mj_forward(self.model, self.data)
 
     def provenance(self) -> dict[str, Any]:
         """Return what identifies the scene."""
         return {"name": self.name, "mujoco": mujoco.__version__}
 
 
+def model_digest(model: mujoco.MjModel) -> str:
+    """Return the SHA-256 of a compiled model, which covers meshes and textures that an MJCF file refers to."""
+    buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return hashlib.sha256(buffer.tobytes()).hexdigest()
+
+
 def make_scene(name: str) -> Scene:
-    """Return a fresh scene.
+    """Return a fresh scene, already reset once.
 
     Args:
-        name: ``metaworld/TASK``, for example ``metaworld/drawer-open-v3``.
+        name: ``metaworld/TASK``, ``gym/ID`` with the id of a Gymnasium environment on MuJoCo, or the path of an MJCF
+            file, which ends with .xml or .mjcf.
 
     Raises:
         UserError: no scene has this name.
     """
-    if not name.startswith(METAWORLD):
-        raise UserError(f"unknown scene '{name}'; available: {METAWORLD}TASK, for example {METAWORLD}drawer-open-v3")
-    from nerf_rl.datasets.metaworld_scene import MetaWorldScene  # Meta-World takes a second to import
+    if name.startswith(METAWORLD):
+        from nerf_rl.datasets.metaworld_scene import MetaWorldScene  # Meta-World takes a second to import
 
-    return MetaWorldScene(name.removeprefix(METAWORLD))
+        return MetaWorldScene(name.removeprefix(METAWORLD))
+    if name.startswith(GYM):
+        from nerf_rl.datasets.gym_scene import GymScene
+
+        return GymScene(name.removeprefix(GYM))
+    if name.endswith(_MJCF_ENDINGS):
+        from nerf_rl.datasets.mjcf_scene import MjcfScene
+
+        return MjcfScene(Path(name))
+    raise UserError(
+        f"unknown scene '{name}'; available: {METAWORLD}TASK, for example {METAWORLD}drawer-open-v3, {GYM}ID, for "
+        f"example {GYM}Ant-v5, and the path of an MJCF file that ends with {' or '.join(_MJCF_ENDINGS)}"
+    )

@@ -10,7 +10,9 @@ import numpy as np
 from jaxtyping import Int, UInt8
 from numpy import ndarray
 
+from nerf_rl.datasets.body_parts import BodyParts, chain
 from nerf_rl.datasets.config import ClassConfig
+from nerf_rl.datasets.workspace import is_drawn
 from nerf_rl.errors import UserError
 
 BACKGROUND = "background"
@@ -30,20 +32,24 @@ class SemanticClasses:
         return self.geom_class[geom]
 
 
-def semantic_classes(
-    model: mujoco.MjModel, robot_body: str | None, gripper_body: str | None, patterns: Sequence[ClassConfig] = ()
-) -> SemanticClasses:
+def semantic_classes(model: mujoco.MjModel, parts: BodyParts, patterns: Sequence[ClassConfig] = ()) -> SemanticClasses:
     """Sort the geoms of a model into classes.
 
-    The first pattern found in a geom's path decides. Otherwise geoms below ``gripper_body`` are *gripper*, others below
-    ``robot_body`` *robot*; a body that moves by a joint of its own is a class of its own with what is fixed to it; what
-    is fixed in the same tree (a cabinet around a drawer) is a class by its body's name; all else is background.
+    The first pattern found in a geom's path decides. Otherwise geoms below a gripper are *gripper*, others below a
+    robot *robot*; a body that moves by a joint of its own is a class of its own with what is fixed to it; what is fixed
+    in the same tree (a cabinet around a drawer) is a class by its body's name; a fixed tree that can be seen (a shelf)
+    is a class by its root's name; surroundings and what belongs to no body are background.
+
+    Args:
+        model: compiled.
+        parts: which bodies are robots, grippers and surroundings.
+        patterns: classes by pattern.
 
     Raises:
-        UserError: a pattern is no regular expression or matches no geom.
+        UserError: a pattern is no regular expression or matches no geom, or there are more than 255 classes.
     """
     expressions = [_compile(pattern) for pattern in patterns]
-    movable_trees = {int(model.body_rootid[body]) for body in range(1, model.nbody) if model.body_jntnum[body]}
+    automatic = _AutomaticClasses(model, parts)
     names = [BACKGROUND]
     geom_class = np.zeros(model.ngeom + 1, np.uint8)
     matched = set()
@@ -51,7 +57,7 @@ def semantic_classes(
         path = geom_path(model, geom)
         found = next((i for i, expression in enumerate(expressions) if expression.search(path)), None)
         if found is None:
-            name = _automatic_class(model, int(model.geom_bodyid[geom]), robot_body, gripper_body, movable_trees)
+            name = automatic.name(int(model.geom_bodyid[geom]))
         else:
             name = patterns[found].name
             matched.add(found)
@@ -95,19 +101,32 @@ def _compile(pattern: ClassConfig) -> re.Pattern[str]:
         raise UserError(f"class '{pattern.name}': '{pattern.pattern}' is no regular expression ({error})") from error
 
 
-def _automatic_class(
-    model: mujoco.MjModel, body: int, robot_body: str | None, gripper_body: str | None, movable_trees: set[int]
-) -> str:
-    chain = [body]  # up to the root of the tree
-    while model.body_parentid[chain[-1]]:
-        chain.append(int(model.body_parentid[chain[-1]]))
-    names = [model.body(link).name for link in chain]
-    if gripper_body in names:
-        return "gripper"
-    if robot_body in names:
-        return "robot"
-    if model.body_rootid[body] not in movable_trees:
-        return BACKGROUND
-    moved_by = next((link for link in chain if model.body_jntnum[link]), None)
-    named = [model.body(link).name for link in (chain if moved_by is None else [moved_by, *chain])]
-    return next((name for name in named if name), BACKGROUND).removesuffix("_link")
+class _AutomaticClasses:
+    """Names the class of a body by where it stands in the tree."""
+
+    def __init__(self, model: mujoco.MjModel, parts: BodyParts):
+        self._model, self._parts = model, parts
+        self._movable = {int(model.body_rootid[body]) for body in range(1, model.nbody) if model.body_jntnum[body]}
+        drawn = {int(model.geom_bodyid[geom]) for geom in range(model.ngeom) if is_drawn(model, geom)}
+        self._seen = {int(model.body_rootid[body]) for body in drawn}
+
+    def name(self, body: int) -> str:
+        """Return the name of a body's class."""
+        model, root = self._model, int(self._model.body_rootid[body])
+        links = chain(model, body)
+        if set(links) & set(self._parts.gripper):
+            return "gripper"
+        if set(links) & set(self._parts.robot):
+            return "robot"
+        if not body or root in self._parts.surroundings:
+            return BACKGROUND
+        if root in self._movable:
+            moved_by = [link for link in links if model.body_jntnum[link]][:1]
+            return self._first_name([*moved_by, *links]) or f"object_{root}"
+        if root not in self._seen or model.body_mocapid[root] >= 0:
+            return BACKGROUND
+        return self._first_name(links[::-1]) or f"fixture_{root}"
+
+    def _first_name(self, links: list[int]) -> str:
+        names = (self._model.body(link).name for link in links)
+        return next((name for name in names if name), "").removesuffix("_link")

@@ -1,6 +1,7 @@
 """Making one shard: act its episodes, render frames at random steps, write them. Runs in a worker process."""
 
 import functools
+import itertools
 import signal
 from pathlib import Path
 from typing import NamedTuple
@@ -9,7 +10,7 @@ import numpy as np
 from numpy import ndarray
 
 from nerf_rl.cameras import projection_matrix
-from nerf_rl.datasets.behaviours import act_episode
+from nerf_rl.datasets.behaviours import Behaviour
 from nerf_rl.datasets.config import GenDatasetConfig
 from nerf_rl.datasets.renderer import MultiViewRenderer
 from nerf_rl.datasets.rigs import Rig, make_rig
@@ -23,6 +24,7 @@ class Studio(NamedTuple):
     """Everything a worker process needs and makes once."""
 
     scene: Scene
+    behaviour: Behaviour
     renderer: MultiViewRenderer
     rig: Rig
     classes: SemanticClasses
@@ -31,10 +33,11 @@ class Studio(NamedTuple):
 
 def open_studio(config: GenDatasetConfig) -> Studio:
     """Build the scene, the renderer and what describes them; raises UserError for names that do not exist."""
-    rig = make_rig(config.rig, config.size)
     scene = make_scene(config.scene)
+    rig = make_rig(config.rig, config.size, scene)
     model = scene.model
-    classes = semantic_classes(model, scene.robot_body, scene.gripper_body, config.classes)
+    behaviour = Behaviour(scene, config.behaviour, config.episode_steps)
+    classes = semantic_classes(model, scene.parts, config.classes)
     renderer = MultiViewRenderer(model, config.size, config.size, len(rig.names), config.quality)
     columns = {
         "proprio": len(scene.proprio_names),
@@ -43,7 +46,7 @@ def open_studio(config: GenDatasetConfig) -> Studio:
     }
     sizes = {"nq": model.nq, "nv": model.nv, "nbody": model.nbody, "nmocap": model.nmocap}
     layout = frame_layout(len(rig.names), config.size, rig.moving, sizes, columns)
-    return Studio(scene, renderer, rig, classes, layout)
+    return Studio(scene, behaviour, renderer, rig, classes, layout)
 
 
 def start_worker() -> None:
@@ -79,7 +82,7 @@ def render_shard(config: GenDatasetConfig, shard: int) -> int:
     episodes = shard_episodes(config, shard)
     constant = {"cameras/intrinsics": studio.rig.intrinsics}
     if not studio.rig.moving:
-        poses = studio.rig.poses(np.random.default_rng())
+        poses = studio.rig.poses(studio.scene.shown(), np.random.default_rng())
         constant["cameras/camera_from_world"] = poses
         constant["cameras/projection"] = projection_matrix(studio.rig.intrinsics, poses)
     frames = len(episodes) * config.frames_per_episode
@@ -94,11 +97,13 @@ def _render_episode(studio: Studio, config: GenDatasetConfig, episode: int, spli
     scene, rng = studio.scene, np.random.default_rng([config.seed, episode])
     kept = set(rng.choice(config.episode_steps + 1, config.frames_per_episode, replace=False).tolist())
     rows = []
-    for moment in act_episode(scene, config.behaviour, max(kept), rng):
-        if moment.step not in kept:
+    moments = itertools.islice(studio.behaviour.act(episode, rng), max(kept) + 1)
+    for place, moment in enumerate(moments):
+        if place not in kept:
             continue
-        poses = studio.rig.poses(rng)
-        views = studio.renderer.render(scene.data, studio.rig.intrinsics, poses)
+        shown = scene.shown()
+        poses = studio.rig.poses(shown, rng)
+        views = studio.renderer.render(shown, studio.rig.intrinsics, poses)
         if (views.rgb == views.rgb[:, :1, :1]).all():
             raise RuntimeError(f"episode {episode}, step {moment.step}: every view is of a single colour")
         model, data = scene.model, scene.data
@@ -121,6 +126,7 @@ def _render_episode(studio: Studio, config: GenDatasetConfig, episode: int, spli
             "reward": np.array(moment.reward),
             "success": np.array(moment.success),
         }
+        row |= {name: moment.stored[name] for name in row if name in moment.stored}
         if studio.rig.moving:
             row["cameras/camera_from_world"] = poses
             row["cameras/projection"] = projection_matrix(studio.rig.intrinsics, poses)

@@ -1,0 +1,91 @@
+"""Which bodies of a model are the robot, its gripper, and the surroundings."""
+
+import re
+from typing import NamedTuple
+
+import mujoco
+
+_GRIPPER = re.compile(r"gripper|hand|finger|claw|jaw|effector", re.IGNORECASE)
+_SURROUNDINGS = re.compile(
+    r"^(floor|ground|world|arena|room|walls?|table|tablelink|desk|counter|bench|mount|pedestal|stand|sky|lights?)"
+    r"([_-]?(top|base|legs?|link|body|\d+))*$",
+    re.IGNORECASE,
+)
+
+
+class BodyParts(NamedTuple):
+    """Ids of bodies; what is below a body belongs to it."""
+
+    robot: tuple[int, ...] = ()
+    """roots of the trees that are moved by actuators"""
+    gripper: tuple[int, ...] = ()
+    """bodies that the robot grasps with"""
+    surroundings: tuple[int, ...] = ()
+    """roots of fixed trees that nothing is done with, such as a table"""
+
+
+def find_parts(model: mujoco.MjModel) -> BodyParts:
+    """Return the parts of any model.
+
+    Trees with an actuator are robots. Within them, the bodies nearest to the root with a name of a gripper (hand,
+    finger, ...) are grippers. Fixed trees with a name of furniture or of a room's parts are surroundings.
+    """
+    robot = sorted({int(model.body_rootid[body]) for body in actuated_bodies(model)} - {0})
+    gripper: list[int] = []
+    for body in range(1, model.nbody):  # parents come before children
+        inside = int(model.body_rootid[body]) in robot and body not in robot
+        if inside and _GRIPPER.search(model.body(body).name) and not set(chain(model, body)) & set(gripper):
+            gripper.append(body)
+    moved = {int(model.body_rootid[body]) for body in range(1, model.nbody) if model.body_jntnum[body]}
+    roots = {int(model.body_rootid[body]) for body in range(1, model.nbody)}
+    surroundings = sorted(root for root in roots - moved if _SURROUNDINGS.match(model.body(root).name))
+    return BodyParts(tuple(robot), tuple(gripper), tuple(surroundings))
+
+
+def named_parts(model: mujoco.MjModel, robot: str, gripper: str, surroundings: tuple[str, ...]) -> BodyParts:
+    """Return the parts with these names, as far as the model has them."""
+
+    def ids(*names: str) -> tuple[int, ...]:
+        found = (mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) for name in names)
+        return tuple(body for body in found if body >= 0)
+
+    return BodyParts(ids(robot), ids(gripper), ids(*surroundings))
+
+
+def chain(model: mujoco.MjModel, body: int) -> list[int]:
+    """Return a body and its ancestors up to the root of its tree, without the world."""
+    links = []
+    while body:
+        links.append(body)
+        body = int(model.body_parentid[body])
+    return links
+
+
+def actuated_bodies(model: mujoco.MjModel) -> set[int]:
+    """Return the ids of the bodies that actuators act on."""
+    bodies: set[int] = set()
+    for actuator in range(model.nu):
+        target, kind = int(model.actuator_trnid[actuator, 0]), model.actuator_trntype[actuator]
+        if kind in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT):
+            bodies.add(int(model.jnt_bodyid[target]))
+        elif kind in (mujoco.mjtTrn.mjTRN_SITE, mujoco.mjtTrn.mjTRN_SLIDERCRANK):
+            bodies.add(int(model.site_bodyid[target]))
+        elif kind == mujoco.mjtTrn.mjTRN_BODY:
+            bodies.add(target)
+        elif kind == mujoco.mjtTrn.mjTRN_TENDON:
+            first = int(model.tendon_adr[target])
+            for wrap in range(first, first + int(model.tendon_num[target])):
+                thing = int(model.wrap_objid[wrap])
+                if model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_JOINT:
+                    bodies.add(int(model.jnt_bodyid[thing]))
+                elif model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_SITE:
+                    bodies.add(int(model.site_bodyid[thing]))
+    return bodies
+
+
+def can_travel(model: mujoco.MjModel, body: int) -> bool:
+    """Tell whether a body moves by a joint without limits that carries it away."""
+    first = int(model.body_jntadr[body])
+    carrying = (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_SLIDE)
+    joints = range(first, first + int(model.body_jntnum[body]))
+    return any(model.jnt_type[joint] in carrying and not model.jnt_limited[joint] for joint in joints)

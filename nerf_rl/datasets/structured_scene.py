@@ -1,0 +1,67 @@
+"""Scenes of which nothing is known but the model's structure: parts, columns and cameras follow from it."""
+
+from typing import Any
+
+import mujoco
+from jaxtyping import Float
+from numpy import ndarray
+
+from nerf_rl.datasets.body_parts import can_travel, find_parts
+from nerf_rl.datasets.rig_config import CameraConfig, RingConfig
+from nerf_rl.datasets.scenes import Scene, model_digest
+from nerf_rl.datasets.state_columns import StateColumns
+from nerf_rl.datasets.workspace import Workspace, fit_workspace
+
+
+class StructuredScene(Scene):
+    """Base of scenes that are described by their model alone; a subclass sets ``name`` and ``env``, then calls this."""
+
+    def __init__(self) -> None:
+        self.env.reset(seed=0)
+        self.parts = find_parts(self.model)
+        self._columns = StateColumns(self.model, self.parts)
+        self.proprio_names, self.privileged_names = self._columns.proprio_names, self._columns.privileged_names
+        self._shown = mujoco.MjData(self.model)
+        self._workspace = fit_workspace(self.model, self.shown())
+
+    def shown(self) -> mujoco.MjData:
+        """Return the state as it is to be drawn.
+
+        After ``mj_step`` MuJoCo's positions are those of one substep ago; a copy is propagated, because environments
+        may read the old ones in their next step.
+        """
+        shown, data = self._shown, self.data
+        shown.qpos[:], shown.qvel[:], shown.time = data.qpos, data.qvel, data.time
+        shown.mocap_pos[:], shown.mocap_quat[:] = data.mocap_pos, data.mocap_quat
+        mujoco.mj_kinematics(self.model, shown)
+        mujoco.mj_comPos(self.model, shown)
+        mujoco.mj_camlight(self.model, shown)
+        mujoco.mj_flex(self.model, shown)
+        mujoco.mj_tendon(self.model, shown)
+        return shown
+
+    def proprio(self, observation: Any) -> Float[ndarray, "P"]:
+        """Return positions and velocities of the robot's joints."""
+        return self._columns.proprio(self.data)
+
+    def privileged(self, observation: Any) -> Float[ndarray, "Q"]:
+        """Return positions of the robot's root, its grippers and the objects [m]."""
+        return self._columns.privileged(self.shown())
+
+    def workspace(self) -> Workspace:
+        """Return the ball around what moves, as it was after the first reset."""
+        return self._workspace
+
+    def default_cameras(self) -> list[CameraConfig]:
+        """Return a ring of three around the workspace, or around the robot if that can go away."""
+        free = [root for root in self.parts.robot if can_travel(self.model, root)]
+        follow = next((name for root in free if (name := self.model.body(root).name)), "")
+        lookat = []
+        if follow:
+            offset = self._workspace.centre - self.shown().body(follow).xpos
+            lookat = [round(float(value), 3) for value in offset]
+        return RingConfig("view", lookat=lookat, follow=follow).cameras()
+
+    def provenance(self) -> dict[str, Any]:
+        """Return name and versions, and the digest of the compiled model."""
+        return {**super().provenance(), "model_sha256": model_digest(self.model)}

@@ -1,0 +1,205 @@
+"""Scenes from MJCF files and from Gymnasium: found by name, described by their structure, drawn as they are."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from nerf_rl import cli
+from nerf_rl.cameras import project
+from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.datasets.scenes import Scene, make_scene, model_digest
+from nerf_rl.errors import UserError
+from nerf_rl.runs import read_json
+
+BLOCKS = "datasets/scenes/blocks.xml"
+SCENES = (BLOCKS, "gym/Ant-v5", "gym/Pusher-v5", "gym/InvertedPendulum-v5")
+
+
+def states(scene: Scene, seed: int, steps: int = 8) -> list[np.ndarray]:
+    rng = np.random.default_rng(0)
+    scene.env.reset(seed=seed)
+    shown = [scene.data.qpos.copy()]
+    for _ in range(steps):
+        scene.env.step(rng.uniform(-0.4, 0.4, scene.env.action_space.shape).astype(np.float32))
+        shown += [scene.data.qpos.copy(), scene.data.qvel.copy()]
+    return shown
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_seed_decides_an_episode_and_seeds_differ(name: str):
+    scene = make_scene(name)
+    first = states(scene, 3)
+    other = states(scene, 4)
+    for mine, theirs in zip(first, states(make_scene(name), 3), strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+    assert not np.array_equal(first[0], other[0])
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_looking_at_a_scene_does_not_change_what_happens_in_it(name: str):
+    looked, alone = make_scene(name), make_scene(name)
+    rng = np.random.default_rng(0)
+    for scene in (looked, alone):
+        scene.env.reset(seed=5)
+    for _ in range(10):
+        action = rng.uniform(-0.4, 0.4, looked.env.action_space.shape).astype(np.float32)
+        looked.shown()
+        looked.privileged(None)
+        seen = looked.env.step(action)
+        unseen = alone.env.step(action)
+        np.testing.assert_array_equal(seen[0], unseen[0])
+        assert seen[1] == unseen[1]
+        np.testing.assert_array_equal(looked.data.xpos, alone.data.xpos)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_what_is_shown_is_the_state_that_is_stored(name: str):
+    scene = make_scene(name)
+    states(scene, 1)
+    exact = mujoco.MjData(scene.model)
+    exact.qpos[:] = scene.data.qpos
+    mujoco.mj_forward(scene.model, exact)
+    np.testing.assert_allclose(scene.shown().geom_xpos, exact.geom_xpos, atol=1e-12)
+    np.testing.assert_allclose(scene.shown().geom_xmat, exact.geom_xmat, atol=1e-12)
+
+
+def test_columns_are_named_after_joints_and_bodies_and_hold_their_values():
+    scene = make_scene(BLOCKS)
+    scene.env.reset(seed=2)
+    scene.env.step(np.full(6, 0.5, np.float32))
+    proprio = dict(zip(scene.proprio_names, scene.proprio(None), strict=True))
+    assert proprio["elbow"] == scene.data.joint("elbow").qpos[0]
+    assert proprio["wrist_velocity"] == scene.data.joint("wrist").qvel[0]
+    assert len(proprio) == 12  # the blocks' free joints are not the robot's
+    privileged = dict(zip(scene.privileged_names, scene.privileged(None), strict=True))
+    block = [privileged[f"green_block_{axis}"] for axis in "xyz"]
+    np.testing.assert_allclose(block, scene.data.joint(7).qpos[:3], atol=1e-12)
+    assert {"hand_x", "red_block_x", "blue_block_z"} <= set(privileged)
+    assert not any(name.startswith(("table", "shelf", "arm")) for name in privileged)
+
+
+def test_a_robot_that_travels_has_its_root_among_the_privileged_columns():
+    assert make_scene("gym/Ant-v5").privileged_names == ("torso_x", "torso_y", "torso_z")
+
+
+def test_resets_of_a_model_scatter_what_is_free_and_stay_within_limits():
+    scene = make_scene(BLOCKS)
+    start = scene.model.key("home").qpos
+    places = []
+    for seed in range(30):
+        scene.env.reset(seed=seed)
+        qpos = scene.data.qpos
+        limits = scene.model.jnt_range[:6]
+        assert (qpos[:6] >= limits[:, 0]).all() and (qpos[:6] <= limits[:, 1]).all()
+        places.append(qpos - start)
+    spread = np.abs(places).max(0)
+    assert (spread[:6] > 0.07 * np.ptp(scene.model.jnt_range[:6], axis=1)).all() and (
+        spread[[6, 7, 13, 14]] > 0.03
+    ).all()
+    np.testing.assert_allclose(spread[[8, 15, 22]], 0.0)  # heights
+    quaternions = np.array(places)[:, 9:13] + start[9:13]
+    np.testing.assert_allclose(np.linalg.norm(quaternions, axis=1), 1.0)
+
+
+def test_actions_span_the_control_ranges():
+    scene = make_scene(BLOCKS)
+    scene.env.reset(seed=0)
+    for sign, column in ((-1.0, 0), (1.0, 1)):
+        scene.env.step(np.full(6, sign, np.float32))
+        np.testing.assert_allclose(scene.data.ctrl, scene.model.actuator_ctrlrange[:, column])
+
+
+def test_provenance_names_the_compiled_model(tmp_path: Path):
+    digest = make_scene(BLOCKS).provenance()["model_sha256"]
+    assert digest == model_digest(mujoco.MjModel.from_xml_path(BLOCKS))
+    changed = tmp_path / "blocks.xml"
+    changed.write_text(Path(BLOCKS).read_text().replace('mass="0.05"', 'mass="0.06"'))
+    assert make_scene(str(changed)).provenance()["model_sha256"] != digest
+
+
+@pytest.mark.parametrize(
+    "name, words",
+    [
+        ("gym/Antt-v5", r"unknown Gymnasium environment on MuJoCo 'Antt-v5' \(did you mean Ant-v5"),
+        ("gym/CartPole-v1", "'CartPole-v1' is not on MuJoCo"),
+        ("gym/no_such_module:Env-v0", "'no_such_module:Env-v0' cannot be made"),
+        ("datasets/scenes/block.xml", "block.xml is not an MJCF file: no such file; .*MJCF files in .*blocks.xml"),
+        ("nowhere/block.xml", "nowhere/block.xml is not an MJCF file: no such file; give the path of one as scene$"),
+    ],
+)
+def test_names_that_lead_nowhere_are_answered_with_what_there_is(name: str, words: str):
+    with pytest.raises(UserError, match=words):
+        make_scene(name)
+
+
+def test_a_file_that_is_no_model_is_answered_with_mujocos_reason(tmp_path: Path):
+    path = tmp_path / "broken.xml"
+    path.write_text("<mujoco><worldbody><geom type='cube' size='1'/></worldbody></mujoco>")
+    with pytest.raises(UserError, match=r"broken\.xml is not a model that MuJoCo compiles: .*cube"):
+        make_scene(str(path))
+
+
+def test_a_model_without_actuators_or_joints_makes_a_dataset(tmp_path: Path):
+    path = tmp_path / "still.xml"
+    light = '<light pos="0 0 3"/>'
+    path.write_text(f"<mujoco><worldbody>{light}<body name='vase'><geom size='0.1'/></body></worldbody></mujoco>")
+    out = tmp_path / "data"
+    arguments = ["--episodes", "2", "--frames_per_episode", "2", "--episode_steps", "3", "--size", "16"]
+    assert cli.main(["gen-dataset", "--scene", str(path), "--out", str(out), "--workers", "1", *arguments]) == 0
+    dataset = MultiViewDataset(out)
+    assert len(dataset) == 4 and dataset.class_names == ("background", "vase")
+    assert (dataset.read("semantic", [0]) == 1).mean() > 0.1
+
+
+def test_a_simulation_that_diverges_is_told_and_not_recorded(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    path = tmp_path / "wild.xml"
+    path.write_text(
+        """<mujoco><option timestep="0.5"/><worldbody><light pos="0 0 3"/><body name="arm">
+        <joint name="j" stiffness="100000"/><geom size="0.1" fromto="0 0 0 0 0 1" type="capsule"/></body></worldbody>
+        <actuator><motor joint="j" gear="100000"/></actuator></mujoco>"""
+    )
+    out = tmp_path / "data"
+    arguments = ["--episodes", "2", "--frames_per_episode", "2", "--size", "16", "--workers", "1"]
+    assert cli.main(["gen-dataset", "--scene", str(path), "--out", str(out), *arguments]) != 0
+    assert "diverges at step" in capsys.readouterr().err
+    assert not (out / "manifest.json").exists()
+
+
+def test_a_dataset_of_an_own_scene_has_all_kinds_of_cameras_and_matrices_that_agree(tmp_path: Path):
+    out = tmp_path / "data"
+    arguments = ["--episodes", "2", "--frames_per_episode", "2", "--episode_steps", "30", "--size", "64"]
+    assert (
+        cli.main(["gen-dataset", "--config", "datasets/blocks.yaml", *arguments, "--out", str(out), "--workers", "1"])
+        == 0
+    )
+    dataset = MultiViewDataset(out)
+    manifest = read_json(out / "manifest.json")
+    assert [camera["role"] for camera in manifest["cameras"]].count("test") == 2
+    assert dataset.class_names == ("background", "shelf", "robot", "gripper", "block")
+    frames = np.arange(len(dataset))
+    names = dataset.columns("privileged")
+    privileged = dict(zip(names, dataset.read("state/privileged", frames).T, strict=True))
+    semantic, depth = dataset.read("semantic", frames), dataset.read("depth", frames)
+    projections = dataset.projections(frames)
+    seen = 0
+    for frame in frames:
+        centres = np.array([[privileged[f"{c}_block_{a}"][frame] for a in "xyz"] for c in ("red", "green", "blue")])
+        for view in range(semantic.shape[1]):
+            pixels, distance = project(projections[frame, view], centres.astype(np.float64))
+            for (x, y), z in zip(pixels, distance, strict=True):
+                if z <= 0 or not (2 <= x < 62 and 2 <= y < 62):
+                    continue
+                near = depth[frame, view, int(y), int(x)]
+                if near < z - 0.05:
+                    continue  # something stands before it
+                assert semantic[frame, view, int(y), int(x)] == 4
+                assert z - 0.05 < near < z
+                seen += 1
+    assert seen > 40
+
+
+def test_a_wrong_name_is_a_mistake_of_usage(capsys: pytest.CaptureFixture[str], tmp_path: Path):
+    assert cli.main(["gen-dataset", "--scene", "gym/Walkr2d-v5", "--out", str(tmp_path / "x")]) == 2
+    assert "did you mean Walker2d-v5" in capsys.readouterr().err

@@ -1,0 +1,107 @@
+"""Replaying states: of a dataset and of NumPy archives."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nerf_rl import cli
+from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.datasets.scenes import make_scene
+from nerf_rl.datasets.stored_states import open_states
+from nerf_rl.errors import UserError
+
+BLOCKS = "datasets/scenes/blocks.xml"
+SAME = ("rgb", "depth", "semantic", "state/qpos", "state/proprio", "state/privileged", "state/action", "reward", "step")
+
+
+def generate(out: Path, *arguments: str) -> MultiViewDataset:
+    assert cli.main(["gen-dataset", "--out", str(out), "--workers", "1", *arguments]) == 0
+    return MultiViewDataset(out)
+
+
+def replay(source: Path, episodes: int, frames: int) -> list[str]:
+    mixture = [
+        "--behaviour.random",
+        "0",
+        "--behaviour.scripted",
+        "0",
+        "--behaviour.noisy",
+        "0",
+        "--behaviour.replay",
+        "1",
+    ]
+    sizes = ["--episodes", str(episodes), "--frames_per_episode", str(frames), "--episode_steps", str(frames - 1)]
+    return [*mixture, *sizes, "--behaviour.states", str(source)]
+
+
+def test_a_replayed_dataset_shows_what_the_first_one_showed(tiny_dataset: Path, tiny_recipe: Path, tmp_path: Path):
+    first = MultiViewDataset(tiny_dataset)
+    cameras = ["--config", str(tiny_recipe), "--rig.random.count", "0"]
+    again = generate(tmp_path / "again", *cameras, *replay(tiny_dataset, 4, 3))
+    frames = np.arange(len(first))
+    assert len(again) == len(first)
+    for name in SAME:
+        before, after = first.read(name, frames), again.read(name, frames)
+        if name in ("rgb", "depth", "semantic"):
+            before = before[:, : after.shape[1]]  # without the random camera
+        np.testing.assert_allclose(after, before, atol=1e-6, err_msg=name)
+
+
+def test_an_archive_of_positions_is_rendered_as_it_is(tmp_path: Path):
+    scene = make_scene(BLOCKS)
+    rng = np.random.default_rng(0)
+    qpos = []
+    for seed in range(2):
+        scene.env.reset(seed=seed)
+        for _ in range(4):
+            scene.env.step(rng.uniform(-1, 1, 6).astype(np.float32))
+            qpos.append(scene.data.qpos.copy())
+    np.savez(tmp_path / "states.npz", qpos=np.reshape(qpos, (2, 4, -1)))
+    dataset = generate(tmp_path / "data", "--scene", BLOCKS, "--size", "24", *replay(tmp_path / "states.npz", 2, 4))
+    np.testing.assert_array_equal(dataset.read("state/qpos", np.arange(8)), qpos)
+    assert dataset.read("step", np.arange(8)).tolist() == [0, 1, 2, 3, 0, 1, 2, 3]
+    assert not dataset.read("reward", np.arange(8)).any()
+
+
+@pytest.mark.parametrize(
+    "arrays, words",
+    [
+        ({"qvel": np.zeros((3, 24))}, "has no array qpos"),
+        ({"qpos": np.zeros((3, 5))}, r"qpos in .* has shape \(1, 3, 5\), the model needs \[T, 27\]"),
+        ({"qpos": np.full((3, 27), np.nan)}, "qpos in .* holds values that are not finite"),
+        ({"qpos": np.zeros((3, 27)), "qvel": np.zeros((4, 24))}, "differ in their numbers of episodes or steps"),
+        ({"qpos": np.array([None] * 3)}, "not a source of states: .*pickle"),
+    ],
+)
+def test_archives_that_do_not_fit_are_refused_in_a_sentence(arrays: dict, words: str, tmp_path: Path):
+    np.savez(tmp_path / "states.npz", **arrays)
+    with pytest.raises(UserError, match=words):
+        open_states(tmp_path / "states.npz", make_scene(BLOCKS))
+
+
+def test_a_dataset_of_another_model_is_refused(tiny_dataset: Path):
+    with pytest.raises(UserError, match=r"belong to another model than datasets/scenes/blocks\.xml"):
+        open_states(tiny_dataset, make_scene(BLOCKS))
+
+
+def test_what_is_neither_dataset_nor_archive_is_refused(tmp_path: Path):
+    with pytest.raises(
+        UserError, match=r"neither a dataset nor an \.npz file; give --behaviour\.states one of the two"
+    ):
+        open_states(tmp_path, make_scene(BLOCKS))
+
+
+def test_too_short_a_source_is_told_with_the_length_it_has(
+    tiny_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    arguments = ["--out", str(tmp_path / "x"), *replay(tiny_dataset, 4, 5)]
+    assert cli.main(["gen-dataset", *arguments]) == 2
+    assert (
+        "has an episode of 3 states, too few for --episode_steps 4; lower that to at most 2" in capsys.readouterr().err
+    )
+
+
+def test_a_replay_without_a_source_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert cli.main(["gen-dataset", "--out", str(tmp_path / "x"), "--behaviour.replay", "1"]) == 2
+    assert "give both" in capsys.readouterr().err
