@@ -59,6 +59,17 @@ def test_held_actions_replace_the_given_share_and_last_the_given_time_on_average
         assert np.all(np.abs(actions[replaced]) == 1.0)
 
 
+def test_held_actions_anywhere_fill_the_box_and_every_third_is_a_rest() -> None:
+    held = HeldActions(200, 3, 1, np.random.default_rng(0), "anywhere")
+    own = np.full((200, 3), 9.0, np.float32)
+    actions = np.concatenate([held.override(own, 0.9) for _ in range(50)])
+    actions = actions[actions[:, 0] != 9.0]
+    rests = (actions == 0.0).all(1)
+    assert rests.mean() == pytest.approx(1 / 3, abs=0.03)
+    moves = actions[~rests]
+    assert np.abs(moves).max() < 1.0 and moves.std() == pytest.approx(1 / np.sqrt(3), rel=0.03)
+
+
 def test_a_hold_ends_with_its_episode() -> None:
     held = HeldActions(2, 1, 10**6, np.random.default_rng(0))
     own = np.full((2, 1), 9.0, np.float32)

@@ -10,6 +10,8 @@ from nerf_rl.rl.baselines.config import PPOConfig
 NO_ENCODER = "none"
 ALGORITHMS = ("ddpg", "ppo", "sb3-ddpg")
 
+HOLD_KINDS = ("corner", "anywhere")
+
 
 @dataclass
 class NetworkConfig:
@@ -48,9 +50,12 @@ class NoiseConfig:
     """probability that one of the first episodes begins with such an action; it falls with the noise"""
     hold_steps: int = 8
     """mean number of agent steps for which such an action is repeated"""
+    hold_kind: str = "corner"
+    """what is repeated: corner (of the action box, which moves furthest) or anywhere (in it, and every third a rest)"""
 
     def __post_init__(self) -> None:
         _one_of("noise kind", self.kind, ("gaussian", "ou", "pink"))
+        _one_of("hold kind", self.hold_kind, HOLD_KINDS)
         if self.start < 0 or self.end < 0:
             raise UserError("--noise.start and --noise.end must not be negative")
         if self.decay_steps < 1:

@@ -8,6 +8,8 @@ from numpy import ndarray
 
 from nerf_rl.rl.config import NoiseConfig
 
+_REST_SHARE = 1 / 3  # of held actions anywhere
+
 
 def linear_schedule(start: float, end: float, duration: int, step: int) -> float:
     """Return the value at ``step`` of a line from ``start`` at 0 to ``end`` at ``duration``, constant afterwards."""
@@ -77,14 +79,16 @@ def pink_noise(length: int, channels: int, rng: np.random.Generator) -> Float[nd
 
 
 class HeldActions:
-    """Random corners of the action box, each held for a while: temporally extended e-greedy (Dabney et al. 2021).
+    """Random actions, each held for a while: temporally extended e-greedy (Dabney et al. 2021).
 
     Independent noise trembles around one place; a policy that rests against a handle is only carried behind it by a
-    motion that goes on in one direction, and that the policy does not counteract. Corners of the box move furthest.
+    motion that goes on in one direction, and that the policy does not counteract. Corners of the box move furthest. But
+    where the agent is hardly ever at rest, it does not learn to set off again: a third of the actions *anywhere* are
+    zero.
     """
 
-    def __init__(self, envs: int, action_size: int, mean_steps: int, rng: np.random.Generator):
-        self._rng, self._mean = rng, mean_steps
+    def __init__(self, envs: int, action_size: int, mean_steps: int, rng: np.random.Generator, kind: str = "corner"):
+        self._rng, self._mean, self._kind = rng, mean_steps, kind
         self._left = np.zeros(envs, np.int64)
         self._action = np.zeros((envs, action_size), np.float32)
 
@@ -112,4 +116,9 @@ class HeldActions:
 
     def _begin(self, env: int) -> None:
         self._left[env] = self._rng.geometric(1.0 / self._mean)
-        self._action[env] = self._rng.choice((-1.0, 1.0), self._action.shape[1])
+        size = self._action.shape[1]
+        if self._kind == "corner":
+            self._action[env] = self._rng.choice((-1.0, 1.0), size)
+        else:
+            rests = self._rng.random() < _REST_SHARE
+            self._action[env] = 0.0 if rests else self._rng.uniform(-1.0, 1.0, size)

@@ -66,7 +66,7 @@ class Trainer:
         )
         steps = -(-config.episode_steps // config.action_repeat)
         self._noise = Noise(config.noise, count, self.action_size, steps, self._rng)
-        self._held = HeldActions(count, self.action_size, config.noise.hold_steps, self._rng)
+        self._held = HeldActions(count, self.action_size, config.noise.hold_steps, self._rng, config.noise.hold_kind)
         self._n_steps = [NStep(learner.n_step, learner.gamma) for _ in range(count)]
         self._hindsight = self._make_hindsight(goal_task)
         self._length = np.zeros(count, np.int64)
