@@ -1,6 +1,9 @@
 """Rendering a radiance field for a camera that moves: coarse at once, fine where the coarse image saw something."""
 
+import functools
+import os
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +29,8 @@ _COARSE_SAMPLES = 20
 _IMPORTANCE_SAMPLES = 10
 _FINE_SAMPLES = 8
 _OPAQUE = 0.03  # a ray that lets less than this through does without the backdrop
-_RAYS_PER_CHUNK = 4096
+_RAYS_PER_CHUNK = 2048
+_MOST_THREADS = 8
 
 
 @dataclass(frozen=True)
@@ -125,13 +129,30 @@ def _in_chunks(
     Args:
         longest: most that a sample may stand for [m of depth]; gaps between samples are known to be empty.
     """
-    parts = []
-    for start in range(0, len(depths), _RAYS_PER_CHUNK):
+
+    def chunk(start: int) -> _Rays | None:
         if stale():
             return None
         chosen = slice(start, start + _RAYS_PER_CHUNK)
-        parts.append(_render(field, rays[0], rays[1][chosen], depths[chosen], longest))
-    return _Rays(*(torch.cat([getattr(part, name) for part in parts]) for name in ("features", "depths", "weights")))
+        with torch.inference_mode():  # it holds for a thread
+            return _render(field, rays[0], rays[1][chosen], depths[chosen], longest)
+
+    parts = list(_threads().map(chunk, range(0, len(depths), _RAYS_PER_CHUNK)))
+    whole = [part for part in parts if part is not None]
+    if len(whole) < len(parts):
+        return None
+    return _Rays(*(torch.cat([getattr(part, name) for part in whole]) for name in ("features", "depths", "weights")))
+
+
+@functools.cache
+def _threads() -> ThreadPoolExecutor:
+    """Return threads that each render chunks of their own.
+
+    They need not wait for each other as PyTorch's own threads do at every operation, which takes many times longer
+    where a browser wants the same cores.
+    """
+    count = min(_MOST_THREADS, len(os.sched_getaffinity(0)))
+    return ThreadPoolExecutor(count, "field", initializer=torch.set_num_threads, initargs=(1,))
 
 
 def _render(
