@@ -23,5 +23,5 @@ def set_default_backend() -> None:
 
 
 def use_one_software_thread() -> None:
-    """Keep software OpenGL (llvmpipe) to one thread: a process per core renders more than one process on all cores."""
-    os.environ.setdefault("LP_NUM_THREADS", "1")
+    """Let software OpenGL (llvmpipe) draw in the calling thread: a process per core renders more than threads do."""
+    os.environ.setdefault("LP_NUM_THREADS", "0")

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int32, UInt8
 from numpy import ndarray
 
 from nerf_rl.cameras import camera_position
+from nerf_rl.datasets.culling import FrustumCulling
 from nerf_rl.datasets.level_of_detail import simplify_meshes
 
 _HIDDEN_GROUP = 5  # of geoms; not drawn by default
@@ -37,7 +38,8 @@ class MultiViewRenderer:
         model: the simulated model; positions, colours and sizes are read from it at each call.
         height, width: of one view [pixels].
         views: the most cameras a call may have.
-        quality: ``fast`` (meshes simplified for the image size, no shadows, no multisampling) or ``full``.
+        quality: ``full`` (shadows, reflections, multisampling), ``plain`` (none of these) or ``fast`` (as ``plain``,
+            with meshes simplified for the image size).
     """
 
     def __init__(self, model: mujoco.MjModel, height: int, width: int, views: int, quality: str = "fast"):
@@ -51,10 +53,13 @@ class MultiViewRenderer:
         )
         self._option = mujoco.MjvOption()
         self._option.sitegroup[:] = 0
-        self._camera = mujoco.MjvCamera()
+        self._camera, self._perturb = mujoco.MjvCamera(), mujoco.MjvPerturb()
         self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 1000)
+        self._scene_geoms = self._scene.geoms  # making this tuple takes longer than reading what is in it
         self._near = float(model.vis.map.znear * model.stat.extent)
         self.far = float(model.vis.map.zfar * model.stat.extent)
+        self._culling = FrustumCulling(model, height, width, self._near)
+        self._target = self._plain  # what was drawn to last
         self._rgb = np.empty((views * height, width, 3), np.uint8)
         self._buffer_depth = np.empty((views * height, width), np.float32)
 
@@ -79,15 +84,16 @@ class MultiViewRenderer:
             intrinsics: K [pixels], with square pixels and a centred principal point.
             camera_from_world: poses.
         """
-        labels = np.empty((len(intrinsics), self._height, self._width), np.int32)
-        if self._fine is None:
-            rgb = self._pass(self._plain, data, intrinsics, camera_from_world, depth=True)
-            self._pass(self._plain, data, intrinsics, camera_from_world, labels=labels)
-        else:
-            rgb = self._pass(self._fine, data, intrinsics, camera_from_world)
-            self._pass(self._plain, data, intrinsics, camera_from_world, depth=True, labels=labels)
+        hidden = self._culling.outside(data, intrinsics, camera_from_world)
+        drawn = self._draw(self._plain, data, intrinsics, camera_from_world, hidden, labels=True)
+        colours = self._read(len(intrinsics), depth=True)
+        segment = colours[..., 0].astype(np.int32) | colours[..., 1].astype(np.int32) << 8
+        labels = np.stack([view.geom_of_segment[ids] for view, ids in zip(drawn, segment, strict=True)])
         buffer = self._tiles(self._buffer_depth, len(intrinsics))
         depth = self._near * self.far / (self._near + buffer * (self.far - self._near))
+        opaque = np.array([view.opaque for view in drawn])
+        hidden |= opaque[:, None] & ~_shown(labels, self._model.ngeom)  # what is behind other geoms adds no colour
+        rgb = self._colours(data, intrinsics, camera_from_world, hidden)
         return Views(rgb, depth.astype(np.float32), labels)
 
     def render_rgb(
@@ -97,7 +103,8 @@ class MultiViewRenderer:
         camera_from_world: Float[ndarray, "V 4 4"],
     ) -> UInt8[ndarray, "V H W 3"]:
         """Render colours alone, the same as in :meth:`render`."""
-        return self._pass(self._fine or self._plain, data, intrinsics, camera_from_world)
+        hidden = self._culling.outside(data, intrinsics, camera_from_world)
+        return self._colours(data, intrinsics, camera_from_world, hidden)
 
     def close(self) -> None:
         """Free the OpenGL resources."""
@@ -105,56 +112,70 @@ class MultiViewRenderer:
             if target is not None:
                 target.close()
 
-    def _pass(
+    def _colours(
+        self, data: mujoco.MjData, intrinsics: ndarray, camera_from_world: ndarray, hidden: Bool[ndarray, "V G"]
+    ) -> UInt8[ndarray, "V H W 3"]:
+        if self._fine is None:
+            self._draw(self._plain, data, intrinsics, camera_from_world, hidden)
+        else:  # what a camera does not see may cast a shadow into its view
+            self._draw(self._fine, data, intrinsics, camera_from_world, np.zeros_like(hidden))
+        return self._read(len(intrinsics)).copy()
+
+    def _draw(
         self,
         target: "_OffscreenTarget",
         data: mujoco.MjData,
         intrinsics: ndarray,
         camera_from_world: ndarray,
-        depth: bool = False,
-        labels: Int32[ndarray, "V H W"] | None = None,
-    ) -> UInt8[ndarray, "V H W 3"]:
-        """Draw all views and read them back; fill ``labels`` with geom ids if given. Returns a copy of the colours."""
+        hidden: Bool[ndarray, "V G"],
+        labels: bool = False,
+    ) -> list["_DrawnGeoms"]:
+        """Draw all views without the geoms hidden from them; for labels, tell what each colour is."""
         count = len(intrinsics)
         if count > self._views:
             raise ValueError(f"this renderer was made for {self._views} views, got {count}")
         target.make_current()
+        self._target = target
         flags = self._scene.flags
         flags[mujoco.mjtRndFlag.mjRND_SHADOW] = flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = target.has_shadows
-        flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = labels is not None
-        geom_of_segment = []
+        flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = labels
+        drawn = []
         for view in range(count):
-            self._update_scene(data, intrinsics[view], camera_from_world[view])
+            self._update_scene(data, intrinsics[view], camera_from_world[view], hidden[view])
             tile = mujoco.MjrRect(0, view * self._height, self._width, self._height)
             mujoco.mjr_render(tile, self._scene, target.context)
-            if labels is not None:
-                geom_of_segment.append(self._geom_of_segment())
+            if labels:
+                drawn.append(self._drawn_geoms())
+        return drawn
+
+    def _read(self, count: int, depth: bool = False) -> UInt8[ndarray, "V H W 3"]:
+        """Read back what was drawn last, into buffers that the next call overwrites; return the colours."""
         rect = mujoco.MjrRect(0, 0, self._width, count * self._height)
-        rgb = self._rgb[: count * self._height]
         buffer_depth = self._buffer_depth[: count * self._height] if depth else None
-        mujoco.mjr_readPixels(rgb, buffer_depth, rect, target.context)
-        colours = self._tiles(self._rgb, count)
-        if labels is not None:
-            segment = colours[..., 0].astype(np.int32) | colours[..., 1].astype(np.int32) << 8
-            for view in range(count):
-                labels[view] = geom_of_segment[view][segment[view]]
-        return colours.copy()
+        mujoco.mjr_readPixels(self._rgb[: count * self._height], buffer_depth, rect, self._target.context)
+        return self._tiles(self._rgb, count)
 
     def _tiles(self, atlas: ndarray, count: int) -> ndarray:
         """Return the views, each with its top row first; OpenGL reads rows back from the bottom."""
         stacked = atlas[: count * self._height]
         return stacked.reshape(count, self._height, self._width, *atlas.shape[2:])[:, ::-1]
 
-    def _update_scene(self, data: mujoco.MjData, intrinsics: ndarray, camera_from_world: ndarray) -> None:
-        """Fill the scene with the geoms that the camera may see, and set the camera."""
-        model = self._model
+    def _update_scene(
+        self, data: mujoco.MjData, intrinsics: ndarray, camera_from_world: ndarray, hidden: Bool[ndarray, "G"]
+    ) -> None:
+        """Fill the scene with all but the hidden geoms, and set the camera.
+
+        Geoms are drawn in the scene's order, so planes come last: most of a floor is covered by what stands on it.
+        """
+        model, everything = self._model, mujoco.mjtCatBit.mjCAT_ALL.value
         groups = model.geom_group.copy()
-        outside = self._outside_frustum(data, intrinsics, camera_from_world)
-        model.geom_group[outside] = _HIDDEN_GROUP  # how to leave geoms out of a scene; nothing else reads it meanwhile
-        try:
-            mujoco.mjv_updateScene(
-                model, data, self._option, None, self._camera, mujoco.mjtCatBit.mjCAT_ALL.value, self._scene
-            )
+        planes = (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & ~hidden
+        try:  # groups are how to leave geoms out of a scene; nothing else reads them meanwhile
+            model.geom_group[hidden | planes] = _HIDDEN_GROUP
+            mujoco.mjv_updateScene(model, data, self._option, None, self._camera, everything, self._scene)
+            if planes.any():
+                model.geom_group[:] = np.where(planes, groups, _HIDDEN_GROUP)
+                mujoco.mjv_addGeoms(model, data, self._option, self._perturb, everything, self._scene)
         finally:
             model.geom_group[:] = groups
         tangent = 0.5 * self._height / intrinsics[1, 1]
@@ -167,24 +188,30 @@ class MultiViewRenderer:
             camera.frustum_top, camera.frustum_bottom = self._near * tangent, -self._near * tangent
             camera.frustum_near, camera.frustum_far = self._near, self.far
 
-    def _outside_frustum(
-        self, data: mujoco.MjData, intrinsics: ndarray, camera_from_world: ndarray
-    ) -> Bool[ndarray, "ngeom"]:
-        """Tell which geoms' bounding spheres lie outside the view; drawing them would cost time and no pixel."""
-        centre = data.geom_xpos @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
-        radius = self._model.geom_rbound
-        tangent = 0.5 * np.array([self._width, self._height]) / intrinsics[[0, 1], [0, 1]]
-        beyond = np.abs(centre[:, :2]) - centre[:, 2:] * tangent  # distance to the side planes, up to the cosine
-        sideways = (beyond > radius[:, None] * np.sqrt(1.0 + tangent**2)).any(1)
-        return (radius > 0) & (sideways | (centre[:, 2] + radius < self._near))  # planes have no radius
-
-    def _geom_of_segment(self) -> Int32[ndarray, "S"]:
-        """Return the geom id of each colour of the label pass; colour 0 is the background, the n-th geom has n + 1."""
-        table = np.full(65536, -1, np.int32)
-        for geom in self._scene.geoms[: self._scene.ngeom]:
+    def _drawn_geoms(self) -> "_DrawnGeoms":
+        """Describe what is in the scene."""
+        geom_of_segment, opaque = np.full(len(self._scene_geoms) + 1, -1, np.int32), True
+        for geom in self._scene_geoms[: self._scene.ngeom]:
+            opaque = opaque and geom.rgba[3] >= 1
             if geom.segid >= 0 and geom.objtype == mujoco.mjtObj.mjOBJ_GEOM:
-                table[geom.segid + 1] = geom.objid
-        return table
+                geom_of_segment[geom.segid + 1] = geom.objid
+        return _DrawnGeoms(geom_of_segment, opaque)
+
+
+class _DrawnGeoms(NamedTuple):
+    """What was drawn into one view."""
+
+    geom_of_segment: Int32[ndarray, "S"]
+    """geom id of each colour of the label pass; colour 0 is the background, the n-th geom has n + 1"""
+    opaque: bool
+    """whether nothing shows through anything, so that what has no label has no colour either"""
+
+
+def _shown(labels: Int32[ndarray, "V H W"], geoms: int) -> Bool[ndarray, "V geoms"]:
+    """Tell which geoms have a pixel in each view."""
+    first = np.arange(len(labels), dtype=np.int32)[:, None, None] * (geoms + 1)
+    counts = np.bincount((labels + 1 + first).ravel(), minlength=len(labels) * (geoms + 1))
+    return counts.reshape(len(labels), geoms + 1)[:, 1:] > 0
 
 
 class _OffscreenTarget:
