@@ -33,6 +33,12 @@ COMMANDS = {
         "nerf_rl.datasets.generator:generate_dataset",
         "render a multi-view dataset (RGB, labels, depth, camera matrices) from a MuJoCo scene",
     ),
+    "export": Command(
+        "nerf_rl.datasets.export.config:ExportConfig",
+        "nerf_rl.datasets.export.export:export",
+        "write a dataset's frames as nerfstudio scenes, coloured point clouds or fused meshes",
+        positional="dataset",
+    ),
     "pretrain": Command(
         "nerf_rl.pretrain.config:PretrainConfig",
         "nerf_rl.pretrain.train:pretrain",

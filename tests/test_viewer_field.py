@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
+from nerf_rl.datasets.frames import Frame, read_frame
 from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.pretrain.config import SamplingConfig
 from nerf_rl.pretrain.linear_probe import encode_frames
 from nerf_rl.pretrain.rendering import render_images
 from nerf_rl.viewer.density_mesh import density_mesh, surface_net
 from nerf_rl.viewer.encoder_view import probe_table
-from nerf_rl.viewer.frames import Frame, read_frame
 from nerf_rl.viewer.latents import EncodedDataset, interpolate
 from nerf_rl.viewer.progressive import FreeCamera, render_progressively
 from nerf_rl.viewer.reconstruction import errors, render_views

@@ -2,6 +2,7 @@
 # Install what pip cannot: EGL with a driver, for MuJoCo's headless rendering, and Python if there is none that fits.
 # Installs only what is missing, and only on Debian and Ubuntu as root or with sudo that asks no password; elsewhere it
 # says in one line what to install and exits with 1. A MUJOCO_GL set by the user is taken as the user's own arrangement.
+# What only one export needs is installed where that is possible and otherwise done without.
 set -eu
 
 [ "$(uname -s)" = Linux ] || exit 0
@@ -22,7 +23,11 @@ fi
 if ! sh "$(dirname "$0")/find_python.sh" >/dev/null; then
     packages="$packages python3 python3-venv"
 fi
-[ -n "$packages" ] || exit 0
+optional=""
+if ! has_library libusb-1.0.so.0; then
+    optional="libusb-1.0-0" # for Open3D
+fi
+[ -n "$packages$optional" ] || exit 0
 
 if [ "$(id -u)" -eq 0 ]; then
     as_root=env
@@ -31,10 +36,20 @@ elif sudo -n true 2>/dev/null; then
 else
     as_root=""
 fi
+install() {
+    echo "setup: installing system packages:" "$@"
+    $as_root DEBIAN_FRONTEND=noninteractive apt-get -qq update &&
+        $as_root DEBIAN_FRONTEND=noninteractive apt-get -qq install --yes --no-install-recommends "$@" >/dev/null
+}
+
+if [ -z "$packages" ]; then
+    if [ -z "$as_root" ] || ! command -v apt-get >/dev/null || ! install $optional; then
+        echo "setup: going on without $optional, so 'nerf-rl export --format mesh' will not run"
+    fi
+    exit 0
+fi
 if [ -z "$as_root" ] || ! command -v apt-get >/dev/null; then
     echo "setup: install these system packages first (names as in Debian; Python 3.11 to 3.13):" $packages >&2
     exit 1
 fi
-echo "setup: installing system packages:" $packages
-$as_root DEBIAN_FRONTEND=noninteractive apt-get -qq update
-$as_root DEBIAN_FRONTEND=noninteractive apt-get -qq install --yes --no-install-recommends $packages >/dev/null
+install $packages $optional

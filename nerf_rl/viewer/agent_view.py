@@ -7,11 +7,11 @@ import viser
 import viser.uplot
 
 from nerf_rl.cameras import camera_position
+from nerf_rl.datasets.frames import EpisodeColumns
 from nerf_rl.viewer.agent import ActedEpisode, Agent
 from nerf_rl.viewer.agent_pictures import decoded_views, learning_charts
 from nerf_rl.viewer.columns_panel import ColumnsPanel
 from nerf_rl.viewer.field_panel import FieldPanel
-from nerf_rl.viewer.frames import EpisodeColumns
 from nerf_rl.viewer.newest import NewestOnly
 from nerf_rl.viewer.playback import Playback
 from nerf_rl.viewer.scene_panel import field_of_view, frustum_pose, look_through

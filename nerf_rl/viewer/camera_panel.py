@@ -6,7 +6,7 @@ import viser
 from jaxtyping import UInt8
 from numpy import ndarray
 
-from nerf_rl.viewer.frames import Frame
+from nerf_rl.datasets.frames import Frame
 
 Picture = Callable[[Frame, int], UInt8[ndarray, "_ _ 3"]]
 """From a frame and the number of a camera to its picture."""

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from nerf_rl.viewer.frames import EpisodeColumns
+from nerf_rl.datasets.frames import EpisodeColumns
 from nerf_rl.viewer.statistics import Statistics
 
 if TYPE_CHECKING:

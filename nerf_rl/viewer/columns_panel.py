@@ -4,7 +4,7 @@ import numpy as np
 import viser
 import viser.uplot
 
-from nerf_rl.viewer.frames import EpisodeColumns
+from nerf_rl.datasets.frames import EpisodeColumns
 
 _COLOURS = ("#d62728", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2", "#7f7f7f")
 

@@ -19,8 +19,8 @@ def serve_dataset(config: ViewConfig, dataset: MultiViewDataset) -> None:
 
 def save_dataset(config: ViewConfig, dataset: MultiViewDataset) -> None:
     """Write the files asked for."""
+    from nerf_rl.datasets.frames import read_columns, read_frame
     from nerf_rl.viewer.charts import columns_chart, statistics_chart
-    from nerf_rl.viewer.frames import read_columns, read_frame
     from nerf_rl.viewer.pictures import camera_strip, depth_limits
     from nerf_rl.viewer.saving import record_scene, save
     from nerf_rl.viewer.slides import chosen_frames, dataset_slides

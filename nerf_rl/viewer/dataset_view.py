@@ -6,11 +6,11 @@ from typing import Protocol
 
 import viser
 
+from nerf_rl.datasets.frames import EpisodeColumns, Frame, read_columns, read_frame
 from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.viewer.camera_panel import CameraPanel, Picture
 from nerf_rl.viewer.charts import statistics_chart
 from nerf_rl.viewer.columns_panel import ColumnsPanel
-from nerf_rl.viewer.frames import EpisodeColumns, Frame, read_columns, read_frame
 from nerf_rl.viewer.newest import NewestOnly
 from nerf_rl.viewer.pictures import camera_strip, depth_scale, legend
 from nerf_rl.viewer.scene_panel import ScenePanel

@@ -52,8 +52,8 @@ def serve_encoder(config: ViewConfig, dataset: MultiViewDataset, folder: Path) -
 
 def save_encoder(config: ViewConfig, dataset: MultiViewDataset, folder: Path) -> None:
     """Write the files asked for: each camera's truth, rendering and error."""
+    from nerf_rl.datasets.frames import Frame, read_frame
     from nerf_rl.viewer.charts import statistics_chart
-    from nerf_rl.viewer.frames import Frame, read_frame
     from nerf_rl.viewer.latents import EncodedDataset
     from nerf_rl.viewer.pictures import depth_limits
     from nerf_rl.viewer.reconstruction import comparison, render_views

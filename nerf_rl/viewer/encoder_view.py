@@ -7,9 +7,9 @@ from collections.abc import Callable
 import viser
 from torch import Tensor
 
+from nerf_rl.datasets.frames import Frame
 from nerf_rl.viewer.dataset_view import DatasetView
 from nerf_rl.viewer.field_panel import FieldPanel
-from nerf_rl.viewer.frames import Frame
 from nerf_rl.viewer.latents import EncodedDataset, Probe, interpolate
 from nerf_rl.viewer.reconstruction import comparison, render_views
 

@@ -9,12 +9,12 @@ from jaxtyping import Float
 from numpy import ndarray
 from torch import Tensor
 
+from nerf_rl.datasets.frames import Frame
 from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.pretrain.encoder import Encoder
 from nerf_rl.pretrain.field import RadianceField
 from nerf_rl.pretrain.folded_field import FoldedField
 from nerf_rl.pretrain.linear_probe import encode_frames, linear_probe
-from nerf_rl.viewer.frames import Frame
 
 
 class EncodedDataset:

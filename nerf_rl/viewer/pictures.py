@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
+from nerf_rl.datasets.frames import Frame
 from nerf_rl.images import colour_depth, colour_labels
-from nerf_rl.viewer.frames import Frame
 
 _BACKGROUND = 255
 

@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
+from nerf_rl.datasets.frames import Frame
 from nerf_rl.images import colour_depth, colour_labels
 from nerf_rl.pretrain.folded_field import FoldedField
 from nerf_rl.pretrain.rendering import RenderedImages
-from nerf_rl.viewer.frames import Frame
 from nerf_rl.viewer.pictures import camera_strip, heat, side_by_side, stack
 from nerf_rl.viewer.progressive import FreeCamera, render_progressively
 

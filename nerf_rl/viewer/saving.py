@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
+from nerf_rl.datasets.frames import read_frame
 from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.rl.video import write_mp4
 from nerf_rl.runs import write_text, written_whole
 from nerf_rl.tools.page import Page
-from nerf_rl.viewer.frames import read_frame
 from nerf_rl.viewer.slides import Slide, in_columns
 
 _ON_A_SHEET = 6

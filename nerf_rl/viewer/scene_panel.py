@@ -7,10 +7,10 @@ import viser
 import viser.transforms as vtf
 
 from nerf_rl.cameras import camera_position
+from nerf_rl.datasets.frames import Frame
+from nerf_rl.datasets.point_cloud import COLOURINGS, PointCloud, fuse_views
 from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.viewer.frames import Frame
 from nerf_rl.viewer.pictures import depth_limits
-from nerf_rl.viewer.point_cloud import COLOURINGS, PointCloud, fuse_views
 
 _FRUSTUM_SCALE = 0.09  # depth of a frustum [m]
 _FRUSTUM_COLOURS = {"encoder": (40, 120, 220), "supervision": (120, 120, 120), "test": (230, 140, 30)}

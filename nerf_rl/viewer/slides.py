@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
+from nerf_rl.datasets.frames import read_frame
 from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.viewer.camera_panel import Picture
-from nerf_rl.viewer.frames import read_frame
 from nerf_rl.viewer.pictures import caption, stack
 
 

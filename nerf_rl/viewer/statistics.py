@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from nerf_rl.datasets.frames import named_points
 from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.viewer.frames import named_points
 from nerf_rl.viewer.timeline import Timeline
 
 

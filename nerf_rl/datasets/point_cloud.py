@@ -1,15 +1,17 @@
-"""Point clouds fused from all views of a frame, as pure functions."""
+"""Point clouds fused from all views of a frame."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 from numpy import ndarray
 
 from nerf_rl.cameras import camera_position, pixel_centres, pixel_directions
+from nerf_rl.datasets.frames import Frame
 from nerf_rl.images import colour_depth, colour_labels
-from nerf_rl.viewer.frames import Frame
+from nerf_rl.runs import written_whole
 
 COLOURINGS = ("RGB", "semantic", "depth")
 
@@ -63,3 +65,11 @@ def fuse_views(
     chosen = np.flatnonzero(kept.ravel())
     chosen = chosen[:: max(1, -(-len(chosen) // most))]
     return PointCloud(points.reshape(-1, 3)[chosen].astype(np.float32), colours.reshape(-1, 3)[chosen])
+
+
+def write_point_cloud(path: Path, cloud: PointCloud) -> None:
+    """Write points with their colours as binary PLY."""
+    import trimesh  # not needed to look at points in the browser
+
+    with written_whole(path) as aside:
+        trimesh.PointCloud(cloud.points, cloud.colours).export(aside)

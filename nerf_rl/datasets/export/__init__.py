@@ -1,0 +1,1 @@
+"""A dataset's frames in the formats of other libraries."""

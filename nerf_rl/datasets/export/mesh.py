@@ -1,0 +1,67 @@
+"""A frame as one coloured surface: the views' depth fused into a truncated signed distance field by Open3D."""
+
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from nerf_rl.datasets.export.seen import Seen
+from nerf_rl.errors import UserError
+from nerf_rl.extras import import_extra
+from nerf_rl.runs import written_whole
+
+_BLOCK, _FIRST_BLOCKS = 16, 1000  # voxels along an edge of a block, and blocks to begin with
+_TRUNCATION_VOXELS = 8.0
+_LEAST_WEIGHT = 0.5  # of a voxel that counts: one view is enough
+_DEPTH_UNIT = 1.0  # [m]
+_FARTHEST = 1000.0  # [m]; depth is limited beforehand
+
+
+def load_open3d() -> ModuleType:
+    """Import Open3D, which takes seconds.
+
+    Raises:
+        UserError: it, or a system library that it needs, is not installed.
+    """
+    purpose = "--format mesh"
+    try:
+        return import_extra("open3d", "export", purpose)
+    except ModuleNotFoundError:
+        raise
+    except ImportError as error:
+        raise UserError(
+            f"{purpose} needs a system library that Open3D does not find ({error}); on Debian and Ubuntu: "
+            "apt install libusb-1.0-0 libgl1 libgomp1"
+        ) from error
+
+
+def write_mesh(path: Path, seen: Seen, voxel: float) -> None:
+    """Fuse the views of a frame and write the surface as PLY.
+
+    Args:
+        path: of the file.
+        seen: the frame and what of it counts.
+        voxel: edge of the field's voxels [m].
+
+    Raises:
+        UserError: nothing that counts is seen.
+    """
+    open3d = load_open3d()
+    tensor, single = open3d.core.Tensor, open3d.core.float32
+    grid = open3d.t.geometry.VoxelBlockGrid(
+        ("tsdf", "weight", "color"), (single,) * 3, ((1,), (1,), (3,)), voxel, _BLOCK, _FIRST_BLOCKS
+    )
+    frame, depth = seen.frame, seen.depth()
+    for view in np.flatnonzero(depth.any(axis=(1, 2))):
+        image = open3d.t.geometry.Image(tensor(np.ascontiguousarray(depth[view][..., None])))
+        colours = open3d.t.geometry.Image(tensor(frame.rgb[view].astype(np.float32) / 255))
+        camera = (tensor(frame.intrinsics[view].tolist()), tensor(frame.camera_from_world[view].tolist()))
+        limits = (_DEPTH_UNIT, _FARTHEST, _TRUNCATION_VOXELS)
+        blocks = grid.compute_unique_block_coordinates(image, *camera, *limits)
+        grid.integrate(blocks, image, colours, *camera, *limits)
+    mesh = grid.extract_triangle_mesh(_LEAST_WEIGHT) if depth.any() else None
+    if mesh is None or len(mesh.triangle.indices) == 0:
+        raise UserError(f"frame {frame.index} shows no surface to fuse; raise --reach or --exclude fewer classes")
+    with written_whole(path) as aside:
+        if not open3d.io.write_triangle_mesh(str(aside), mesh.to_legacy()):
+            raise OSError(f"{path} could not be written")

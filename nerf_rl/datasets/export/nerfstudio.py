@@ -1,0 +1,90 @@
+"""A frame as a nerfstudio scene: images, depth and labels beside ``transforms.json``.
+
+Each frame is a static scene of its own. Camera axes are OpenGL's (x right, y up, z backwards) and matrices lead from
+the camera to the world; see https://docs.nerf.studio/quickstart/data_conventions.html.
+"""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from nerf_rl.datasets.export.seen import Seen
+from nerf_rl.datasets.point_cloud import write_point_cloud
+from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.runs import write_json, written_whole
+
+_METRES_PER_UNIT = 0.001  # of depth images: millimetres, nerfstudio's default
+_MOST_UNITS = 65535
+
+
+def write_scene(folder: Path, seen: Seen, dataset: MultiViewDataset, masks: bool) -> None:
+    """Write one frame as a scene folder; ``transforms.json`` comes last.
+
+    Args:
+        folder: to make.
+        seen: the frame and what of it counts.
+        dataset: the frame's.
+        masks: whether to write masks of the classes that count; training ignores the other pixels.
+    """
+    frame, depth, kept = seen.frame, seen.depth(), seen.kept()
+    entries = []
+    for view, name in enumerate(dataset.camera_names):
+        millimetres = np.round(depth[view] / _METRES_PER_UNIT)
+        millimetres[millimetres > _MOST_UNITS] = 0  # too far for 16 bits: unknown
+        images = {
+            "file_path": ("images", frame.rgb[view][..., ::-1]),
+            "depth_file_path": ("depths", millimetres.astype(np.uint16)),
+            "semantic_path": ("semantics", frame.semantic[view]),
+        }
+        if masks:
+            images["mask_path"] = ("masks", np.where(kept[view], 255, 0).astype(np.uint8))
+        entry = {}
+        for key, (kind, image) in images.items():
+            entry[key] = f"{kind}/{name}.png"
+            _write_image(folder / entry[key], image)
+        K = frame.intrinsics[view]
+        height, width = depth[view].shape
+        entries.append(
+            {
+                **entry,
+                "fl_x": float(K[0, 0]),
+                "fl_y": float(K[1, 1]),
+                "cx": float(K[0, 2]),
+                "cy": float(K[1, 2]),
+                "w": width,
+                "h": height,
+                "transform_matrix": world_from_opengl_camera(frame.camera_from_world[view]).tolist(),
+            }
+        )
+    write_point_cloud(folder / "points.ply", seen.cloud())
+    held_out = dataset.views("test")
+    split = {
+        "train_filenames": [entry["file_path"] for view, entry in enumerate(entries) if view not in held_out],
+        "val_filenames": [entries[view]["file_path"] for view in held_out],
+        "test_filenames": [entries[view]["file_path"] for view in held_out],
+    }
+    transforms = {
+        "camera_model": "OPENCV",
+        "depth_unit_scale_factor": _METRES_PER_UNIT,
+        "ply_file_path": "points.ply",
+        **(split if held_out else {}),
+        "semantic_classes": dataset.manifest["classes"],
+        "source": {"frame": frame.index, "episode": frame.episode, "step": frame.step, "dataset": dataset.digest()},
+        "frames": entries,
+    }
+    write_json(folder / "transforms.json", transforms)
+
+
+def world_from_opengl_camera(camera_from_world: Float[ndarray, "4 4"]) -> Float[ndarray, "4 4"]:
+    """Return the pose of a camera with OpenGL's axes (x right, y up, z backwards) in the world [m]."""
+    return np.linalg.inv(camera_from_world) @ np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def _write_image(path: Path, image: ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with written_whole(path) as aside:
+        if not cv2.imwrite(str(aside), np.ascontiguousarray(image)):
+            raise OSError(f"{path} could not be written")
