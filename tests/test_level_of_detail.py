@@ -9,6 +9,8 @@ from nerf_rl.datasets.level_of_detail import corner_normals, simplify_meshes
 MESH_ARRAYS = ("mesh_vert", "mesh_face", "mesh_normal", "mesh_facenormal")
 MESH_COUNTS = ("mesh_vertnum", "mesh_facenum", "mesh_normalnum")
 
+DETAIL = 1.8  # pixels of a metre for each row of the image: a camera 0.7 m away
+
 
 def cube(cells: int, half_edge: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
     """Return vertices and outward faces of a cube whose sides are grids of squares."""
@@ -62,7 +64,7 @@ def drawn(model: mujoco.MjModel, mesh: int) -> tuple[np.ndarray, np.ndarray, np.
 
 def test_a_simplified_cube_has_six_flat_sides_at_right_angles():
     model = compiled(cube(14))
-    simplified = simplify_meshes(model, 64)
+    simplified = simplify_meshes(model, 64, DETAIL * 64)
     assert simplified.mesh_facenum[0] < 0.5 * model.mesh_facenum[0]
     triangles, corners, normals = drawn(simplified, 0)
     assert len(normals) == 6
@@ -76,7 +78,7 @@ def test_a_simplified_cube_has_six_flat_sides_at_right_angles():
 
 def test_normals_of_a_simplified_sphere_point_outwards():
     model = compiled(sphere(24))
-    simplified = simplify_meshes(model, 192)
+    simplified = simplify_meshes(model, 192, DETAIL * 192)
     assert simplified.mesh_facenum[0] < 0.3 * model.mesh_facenum[0]
     triangles, corners, _ = drawn(simplified, 0)
     outwards = triangles / np.linalg.norm(triangles, axis=-1, keepdims=True)
@@ -99,7 +101,7 @@ def test_edges_are_creased_and_gentle_bends_are_smooth():
 def test_the_simulated_model_is_not_touched():
     model = compiled(sphere(24))
     before = {name: getattr(model, name).copy() for name in (*MESH_ARRAYS, *MESH_COUNTS)}
-    simplified = simplify_meshes(model, 32)
+    simplified = simplify_meshes(model, 32, DETAIL * 32)
     assert simplified.mesh_facenum[0] < model.mesh_facenum[0]
     for name, value in before.items():
         np.testing.assert_array_equal(getattr(model, name), value, err_msg=name)
@@ -107,7 +109,7 @@ def test_the_simulated_model_is_not_touched():
 
 def test_a_mesh_keeps_within_its_own_part_of_the_arrays():
     model = compiled(sphere(24), cube(2), cube(14))
-    simplified = simplify_meshes(model, 48)
+    simplified = simplify_meshes(model, 48, DETAIL * 48)
     assert simplified.mesh_facenum[0] < model.mesh_facenum[0] and simplified.mesh_facenum[2] < model.mesh_facenum[2]
     for mine, theirs in zip(drawn(simplified, 1), drawn(model, 1), strict=True):
         np.testing.assert_array_equal(mine, theirs)
@@ -121,5 +123,11 @@ def test_a_mesh_keeps_within_its_own_part_of_the_arrays():
 
 def test_larger_images_keep_more_triangles_and_large_enough_ones_all():
     model = compiled(sphere(24))
-    counts = [int(simplify_meshes(model, height).mesh_facenum[0]) for height in (192, 256, 384, 4096)]
+    counts = [int(simplify_meshes(model, height, DETAIL * height).mesh_facenum[0]) for height in (192, 256, 384, 4096)]
     assert counts[0] < counts[1] < counts[2] < counts[3] == model.mesh_facenum[0]
+
+
+def test_a_nearer_camera_gets_more_triangles():
+    model = compiled(sphere(24))
+    counts = [int(simplify_meshes(model, 32, detail).mesh_facenum[0]) for detail in (500.0, 800.0, 1200.0)]
+    assert counts == sorted(set(counts))

@@ -1,6 +1,7 @@
 """Where a camera is: fixed in the world, fixed to a body, following a body, or one of the model's own."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -12,12 +13,23 @@ from nerf_rl.datasets.rig_config import CameraConfig
 from nerf_rl.datasets.workspace import Workspace
 from nerf_rl.errors import UnknownNameError, UserError
 
-Mount = Callable[[mujoco.MjData], Float[ndarray, "4 4"]]
+Pose = Callable[[mujoco.MjData], Float[ndarray, "4 4"]]
 """From a state with propagated positions to the camera's ``camera_from_world``."""
 
 
-def mount(config: CameraConfig, model: mujoco.MjModel, workspace: Workspace) -> tuple[Mount, float, bool]:
-    """Return where a camera is, its vertical field of view [degrees], and whether it moves.
+class Mount(NamedTuple):
+    """Where a camera is."""
+
+    pose: Pose
+    fovy: float
+    """vertical field of view [degrees]"""
+    moves: bool
+    body: int = -1
+    """body that it is fixed to or follows, or -1"""
+
+
+def mount(config: CameraConfig, model: mujoco.MjModel, workspace: Workspace) -> Mount:
+    """Return where a camera is.
 
     Raises:
         UserError: no such camera or body in the model, or a camera that is not a centred pinhole.
@@ -33,7 +45,7 @@ def mount(config: CameraConfig, model: mujoco.MjModel, workspace: Workspace) -> 
     else:
         local = look_at(lookat, config.distance or workspace.distance(config.fovy), config.azimuth, config.elevation)
     if not (config.body or config.follow):
-        return lambda data: local, config.fovy, False
+        return Mount(lambda data: local, config.fovy, moves=False)
     body = body_id(model, config.body or config.follow, f"camera '{config.name}'")
     turns = bool(config.body)
 
@@ -41,7 +53,7 @@ def mount(config: CameraConfig, model: mujoco.MjModel, workspace: Workspace) -> 
         rotation = data.xmat[body].reshape(3, 3) if turns else np.eye(3)
         return local @ pose_from_rotation_position(rotation.T, data.xpos[body])
 
-    return pose, config.fovy, True
+    return Mount(pose, config.fovy, moves=True, body=body)
 
 
 def body_id(model: mujoco.MjModel, name: str, user: str) -> int:
@@ -53,7 +65,7 @@ def body_id(model: mujoco.MjModel, name: str, user: str) -> int:
     return found
 
 
-def _of_the_model(config: CameraConfig, model: mujoco.MjModel) -> tuple[Mount, float, bool]:
+def _of_the_model(config: CameraConfig, model: mujoco.MjModel) -> Mount:
     camera = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, config.camera)
     if camera < 0:
         names = (model.camera(number).name for number in range(model.ncam))
@@ -68,4 +80,5 @@ def _of_the_model(config: CameraConfig, model: mujoco.MjModel) -> tuple[Mount, f
         right, up, back = data.cam_xmat[camera].reshape(3, 3).T
         return pose_from_rotation_position(np.stack([right, -up, -back]), data.cam_xpos[camera])
 
-    return pose, float(model.cam_fovy[camera]), bool(moves)
+    body = int(model.cam_bodyid[camera])
+    return Mount(pose, float(model.cam_fovy[camera]), bool(moves), body if model.body_weldid[body] else -1)

@@ -124,6 +124,7 @@ def _manifest(config: GenDatasetConfig, studio: Studio, shards: list[dict], gl_r
         "height": config.size,
         "width": config.size,
         "far": studio.renderer.far,
+        "detail": studio.renderer.detail,
         "cameras": [{"name": name, "role": role} for name, role in zip(rig.names, rig.roles, strict=True)],
         "classes": [
             {"name": name, "colour": colour.tolist()} for name, colour in zip(names, palette(len(names)), strict=True)

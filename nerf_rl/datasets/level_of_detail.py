@@ -1,4 +1,4 @@
-"""Visual level of detail: a copy of a model whose meshes have as many triangles as an image of a given size can show.
+"""Visual level of detail: a copy of a model whose meshes have as many triangles as images of it can show.
 
 Only the copy that the OpenGL context is built from is simplified; physics and scenes keep the real model. Edges sharper
 than a crease angle stay sharp: normals are averaged only over adjacent faces that are nearly parallel.
@@ -14,15 +14,20 @@ from numpy import ndarray
 
 _TRIANGLES_PER_PIXEL = 0.4  # of the mesh's bounding sphere; back faces and detail inside the outline included
 _FEWEST_TRIANGLES_PER_ROW = 10.0  # of the image: thin and dented outlines need more than their area says
-_REFERENCE_DISTANCE = 0.7  # from which the mesh is taken to be seen [m], with a vertical field of view of 45 degrees
 _PLANE_CELLS = 10  # along the shorter side; light is computed at their corners
-_SLICES, _STACKS = 20, 10  # of round shapes, around their axis and along it; they stay within 1.3 % of the radius
+_SLICES_PER_ROOT_ROW = 1.8  # of round shapes, around their axis, half as many along it: 20 for 128 rows, as the
+# error of a circle that fills the image is half a pixel then
 _AGGRESSIVENESS = 2.0  # of fast_simplification; its default of 7 is faster and leaves slivers with wrong normals
 _CREASE_COSINE = np.cos(np.deg2rad(40.0))
 
 
-def simplify_meshes(model: mujoco.MjModel, height: int) -> mujoco.MjModel:
+def simplify_meshes(model: mujoco.MjModel, height: int, detail: float) -> mujoco.MjModel:
     """Return a copy of the model with meshes simplified for images of the given height [pixels].
+
+    Args:
+        model: compiled.
+        height: of an image [pixels].
+        detail: pixels that a metre takes in an image where a camera is nearest to what it shows.
 
     Textured meshes are kept, since simplification would tear their texture coordinates. Planes and round shapes are
     divided less: MuJoCo cuts each into a thousand triangles and more, whatever its size.
@@ -31,15 +36,15 @@ def simplify_meshes(model: mujoco.MjModel, height: int) -> mujoco.MjModel:
     planes = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
     spacing = simplified.geom_size[:, 2]
     spacing[planes] = np.maximum(spacing[planes], 2 * model.geom_size[planes, :2].min(1) / _PLANE_CELLS)
-    pixels_per_radian = height / np.deg2rad(45.0)
     quality = simplified.vis.quality
-    quality.numslices, quality.numstacks = min(quality.numslices, _SLICES), min(quality.numstacks, _STACKS)
+    slices = round(_SLICES_PER_ROOT_ROW * height**0.5)
+    quality.numslices, quality.numstacks = min(quality.numslices, slices), min(quality.numstacks, slices // 2)
     for mesh in range(model.nmesh):
         if model.mesh_texcoordnum[mesh]:
             continue
         vertices = model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]]
         radius = np.linalg.norm(vertices - vertices.mean(0), axis=1).max()
-        covered = np.pi * (pixels_per_radian * radius / _REFERENCE_DISTANCE) ** 2
+        covered = np.pi * (detail * radius) ** 2
         target = int(max(_FEWEST_TRIANGLES_PER_ROW * height, _TRIANGLES_PER_PIXEL * covered))
         if target < model.mesh_facenum[mesh]:
             _replace_mesh(simplified, model, mesh, target)

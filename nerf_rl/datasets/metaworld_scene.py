@@ -70,6 +70,7 @@ class MetaWorldScene(Scene):
         self._task = task
         env: Any = SeededMetaWorld(task)
         self.env = env
+        env.reset(seed=0)
         self.parts = named_parts(self.model, "base", "right_hand", ("tablelink", "RetainingWall"))
         thing = _FIRST_OBJECT.get(task, "object")
         self._second = env.unwrapped._get_pos_objects().size > 3

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from nerf_rl.cameras import camera_position, intrinsics_from_fovy, look_at
-from nerf_rl.datasets.camera_mounts import Mount, body_id, mount
+from nerf_rl.datasets.camera_mounts import Pose, body_id, mount
 from nerf_rl.datasets.rig_config import CameraConfig, DomeConfig, RandomCameraConfig, RigConfig, RingConfig
 from nerf_rl.datasets.scenes import Scene
 from nerf_rl.datasets.workspace import Workspace
@@ -16,6 +16,7 @@ from nerf_rl.errors import UnknownNameError, UserError
 
 ROLES = ("encoder", "supervision", "test")
 _SPREAD = 1 / 7  # of random look-at points, in radii of the workspace
+_NEAREST = 0.05  # to what a camera shows, at most so near [m]
 _DISTANCES = (0.8, 1.2)  # of random cameras, in fitted distances
 
 
@@ -29,7 +30,9 @@ class Rig:
     intrinsics: Float[ndarray, "V 3 3"]
     moving: bool
     """whether poses differ from frame to frame"""
-    _mounts: tuple[Mount, ...]
+    _poses: tuple[Pose, ...]
+    _bodies: tuple[int, ...]
+    _workspace: Workspace
     _random: "_RandomCameras"
 
     def poses(self, data: mujoco.MjData, rng: np.random.Generator) -> Float[ndarray, "V 4 4"]:
@@ -39,13 +42,18 @@ class Rig:
             data: the state, with positions propagated.
             rng: for the random cameras; untouched if there are none.
         """
-        return np.stack([*(place(data) for place in self._mounts), *self._random.poses(data, rng)])
+        return np.stack([*(place(data) for place in self._poses), *self._random.poses(data, rng)])
 
-    def nearest(self, data: mujoco.MjData, workspace: Workspace) -> Float[ndarray, "V"]:
-        """Return how near to the workspace's middle each camera can come [m]."""
-        positions = camera_position(np.stack([place(data) for place in self._mounts]))
-        fixed = np.linalg.norm(positions - workspace.centre, axis=1)
-        return np.concatenate([fixed, np.full(self._random.count, self._random.nearest)])
+    def detail(self, data: mujoco.MjData) -> float:
+        """Return how many pixels a metre takes in an image where a camera is nearest to what it is there to show.
+
+        For a camera on a body that is the body, for all others the middle of the workspace.
+        """
+        positions = camera_position(np.stack([place(data) for place in self._poses]))
+        targets = np.stack([self._workspace.centre if body < 0 else data.xpos[body] for body in self._bodies])
+        distance = np.linalg.norm(positions - targets, axis=1)
+        distance = np.concatenate([distance, np.full(self._random.count, self._random.nearest)])
+        return float((self.intrinsics[:, 0, 0] / np.maximum(distance, _NEAREST)).max())
 
 
 def make_rig(config: RigConfig, size: int, scene: Scene) -> Rig:
@@ -78,13 +86,15 @@ def make_rig(config: RigConfig, size: int, scene: Scene) -> Rig:
     model, workspace = scene.model, scene.workspace()
     mounted = [mount(camera, model, workspace) for camera in cameras]
     random = _RandomCameras(config.random, model, workspace)
-    fovy = [angle for _, angle, _ in mounted] + [config.random.fovy] * config.random.count
+    fovy = [camera.fovy for camera in mounted] + [config.random.fovy] * config.random.count
     return Rig(
         names=tuple(names),
         roles=_roles(config, groups, names),
         intrinsics=np.stack([intrinsics_from_fovy(angle, size, size) for angle in fovy]),
-        moving=any(moves for _, _, moves in mounted) or config.random.count > 0,
-        _mounts=tuple(place for place, _, _ in mounted),
+        moving=any(camera.moves for camera in mounted) or config.random.count > 0,
+        _poses=tuple(camera.pose for camera in mounted),
+        _bodies=tuple(camera.body for camera in mounted),
+        _workspace=workspace,
         _random=random,
     )
 

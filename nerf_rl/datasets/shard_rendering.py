@@ -38,7 +38,8 @@ def open_studio(config: GenDatasetConfig) -> Studio:
     model = scene.model
     behaviour = Behaviour(scene, config.behaviour, config.episode_steps)
     classes = semantic_classes(model, scene.parts, config.classes)
-    renderer = MultiViewRenderer(model, config.size, config.size, len(rig.names), config.quality)
+    detail = rig.detail(scene.shown())
+    renderer = MultiViewRenderer(model, config.size, config.size, len(rig.names), config.quality, detail)
     columns = {
         "proprio": len(scene.proprio_names),
         "privileged": len(scene.privileged_names),

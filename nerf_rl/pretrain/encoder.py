@@ -33,8 +33,8 @@ class Encoder(nn.Module):
     def __init__(self, config: EncoderConfig, rig: EncoderRig):
         super().__init__()
         self.config, self.rig = config, rig
-        self.scene = ""
-        self.quality = "fast"
+        self.scene, self.quality = "", "fast"
+        self.detail: float | None = None
         patch, widths = config.patch, config.channels
         blocks: list[nn.Module] = [nn.Conv2d(3, widths[0], patch, stride=patch), _norm(widths[0]), nn.ReLU()]
         for before, after in pairwise(widths):
@@ -81,7 +81,7 @@ class Encoder(nn.Module):
             "format": 1,
             "architecture": asdict(self.config),
             "rig": self.rig.to_json(),
-            "scene": {"name": self.scene, "quality": self.quality},
+            "scene": {"name": self.scene, "quality": self.quality, "detail": self.detail},
             "packages": package_versions(),
             **extra,
         }
@@ -99,7 +99,8 @@ class Encoder(nn.Module):
         """
         folder, description = read_description(path)
         encoder = cls(EncoderConfig(**description["architecture"]), EncoderRig.from_json(description["rig"]))
-        encoder.scene, encoder.quality = description["scene"]["name"], description["scene"]["quality"]
+        scene = description["scene"]
+        encoder.scene, encoder.quality, encoder.detail = scene["name"], scene["quality"], scene.get("detail")
         encoder.load_state_dict(_weights(Path(path), folder))
         return encoder.eval().requires_grad_(False)
 

@@ -41,6 +41,7 @@ class SnerlModule(lightning.LightningModule):
         self.encoder = Encoder(config.encoder, rig)
         self.encoder.scene = dataset.manifest["scene"]["name"]
         self.encoder.quality = dataset.manifest["config"]["quality"]
+        self.encoder.detail = dataset.manifest.get("detail")
         teacher_width = sum(WIDTHS[teacher] for teacher in config.teachers)
         classes = len(dataset.class_names)
         self.field = RadianceField(

@@ -73,6 +73,6 @@ class LatentObservation(gymnasium.ObservationWrapper):
         rig = self.encoder.rig
         if self._renderer is None:  # created late, in the process that renders
             self._renderer = MultiViewRenderer(
-                simulation.model, rig.height, rig.width, len(rig.names), quality=self.encoder.quality
+                simulation.model, rig.height, rig.width, len(rig.names), self.encoder.quality, self.encoder.detail
             )
         return self._renderer.render_rgb(simulation.data, rig.intrinsics, rig.camera_from_world)
