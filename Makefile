@@ -51,6 +51,7 @@ $(REPORT): $(DATA)/summary.json $(ENCODER)/summary.json $(AGENT)/summary.json
 paper: $(READY)
 	$(BIN)/python tools/run_paper.py
 	$(BIN)/python tools/record_paper.py
+	$(BIN)/python tools/compare_samplers.py
 
 format: $(READY)
 	$(BIN)/ruff check --fix-only --quiet .
