@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from nerf_rl import __version__
-from nerf_rl.errors import UnknownNameError, UserError
+from nerf_rl.errors import FailureError, UnknownNameError, UserError
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,6 +75,11 @@ COMMANDS = {
         "nerf_rl.tools.report:write_report",
         "gather a dataset, an encoder and an agent into one self-contained HTML page",
     ),
+    "doctor": Command(
+        "nerf_rl.tools.config:DoctorConfig",
+        "nerf_rl.tools.doctor:doctor",
+        "check that this machine has what is needed (rendering, torch, memory, disk), with a fix for what is not",
+    ),
 }
 
 
@@ -96,6 +101,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except UserError as error:
         print(f"nerf-rl {name}: {error}", file=sys.stderr)
         return 2
+    except FailureError as error:
+        print(f"nerf-rl {name}: {error}", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         print(f"nerf-rl {name}: interrupted", file=sys.stderr)
         return 130

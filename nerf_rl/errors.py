@@ -1,4 +1,4 @@
-"""Mistakes that the user can mend, each told in one sentence that lists what is available."""
+"""Mistakes and failures that the user can mend, each told in one sentence that says how."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
@@ -7,6 +7,10 @@ from pathlib import Path
 
 class UserError(Exception):
     """Base class: the command line prints the message without a traceback and exits with 2."""
+
+
+class FailureError(Exception):
+    """Work that could not be done: the command line prints the message without a traceback and exits with 1."""
 
 
 class UnknownNameError(UserError):

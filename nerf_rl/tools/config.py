@@ -1,4 +1,4 @@
-"""Keys of the commands that show what the other stages made."""
+"""Keys of the commands around the stages; importing this module loads nothing heavy."""
 
 from dataclasses import dataclass
 
@@ -29,3 +29,21 @@ class ReportConfig:
             raise UserError(f"--out must be an .html file, got {self.out}")
         if self.episodes < 1 or self.seed < 0:
             raise UserError("--episodes must be at least 1 and --seed must not be negative")
+
+
+@dataclass
+class DoctorConfig:
+    """Keys of ``nerf-rl doctor``."""
+
+    folder: str = "."
+    """where datasets and runs will be written, to look at its free space"""
+    json: str = ""
+    """write the findings to this .json file as well"""
+    timeout: float = 60.0
+    """seconds after which a probe counts as hanging"""
+
+    def __post_init__(self) -> None:
+        if self.json and not self.json.endswith(".json"):
+            raise UserError(f"--json must be a .json file, got {self.json}")
+        if self.timeout <= 0:
+            raise UserError(f"--timeout must be positive, got {self.timeout}")

@@ -1,0 +1,183 @@
+"""``nerf-rl doctor``: find out whether this machine has what nerf-rl needs, and say how to mend what is missing."""
+
+import importlib.metadata
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from nerf_rl import __version__
+from nerf_rl.errors import FailureError
+from nerf_rl.runs import package_versions, plain, write_json
+from nerf_rl.tools.config import DoctorConfig
+
+BACKENDS = {
+    "egl": "apt install libegl1 libopengl0 libgl1-mesa-dri",
+    "osmesa": "apt install libosmesa6",
+    "glfw": "it needs a display; without one, use egl or osmesa",
+}
+EXTRAS = {
+    "panda": ("panda_gym", "panda-gym"),
+    "sb3": ("stable_baselines3", "stable-baselines3"),
+    "ray": ("ray", "ray"),
+    "browser": ("playwright", "playwright"),
+}
+_SOFTWARE = ("llvmpipe", "softpipe", "swrast")
+_GIGABYTE = 1e9
+_LEAST_SHARED, _ENOUGH_SHARED = 0.06, 0.5  # [GB]; containers start with 0.064
+_LEAST_DISK, _ENOUGH_DISK = 1.0, 10.0  # [GB]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at."""
+
+    name: str
+    status: str
+    """``ok``, ``note`` (worth knowing, not needed for most work) or ``broken`` (needed)"""
+    detail: str
+    fix: str = ""
+    """what to do, in a line; empty if all is well"""
+
+
+def doctor(config: DoctorConfig) -> None:
+    """Print what was found, each with its fix, and write it as JSON if asked to.
+
+    Raises:
+        FailureError: something that is needed does not work.
+    """
+    print(f"nerf-rl {__version__}, Python {sys.version.split()[0]}, {sys.executable}")
+    findings = [machine(), shared_memory(Path("/dev/shm")), disk(Path(config.folder)), *probed(config.timeout)]
+    width = max(len(finding.name) for finding in findings)
+    for finding in findings:
+        print(f"{finding.status:<8} {finding.name:<{width}}  {finding.detail}")
+        if finding.fix:
+            print(f"{'':<8} {'':<{width}}  fix: {finding.fix}")
+    broken = [finding.name for finding in findings if finding.status == "broken"]
+    if config.json:
+        report = {"ok": not broken, "findings": plain(findings), "packages": package_versions()}
+        write_json(Path(config.json), report)
+    if broken:
+        raise FailureError(f"what is needed does not work: {', '.join(broken)}")
+    print("everything that is needed works")
+
+
+def probed(timeout: float) -> Iterable[Finding]:
+    """Try out rendering, torch and the extras, each in a process of its own."""
+    usable = len(os.sched_getaffinity(0))
+    with ThreadPoolExecutor(max(2, usable)) as pool:
+        torch = pool.submit(run_probe, "torch", timeout)
+        backends = {name: pool.submit(run_probe, "rendering", timeout, name) for name in BACKENDS}
+        export = pool.submit(run_probe, "export", timeout)
+        yield from rendering({name: probe.result() for name, probe in backends.items()}, os.environ.get("MUJOCO_GL"))
+        yield torch_pair(torch.result())
+        yield from extras(export.result())
+
+
+def run_probe(name: str, timeout: float, backend: str = "") -> dict:
+    """Run one of :mod:`nerf_rl.tools.doctor_probes`; return what it found, also if it crashed or hung.
+
+    Args:
+        name: of the probe.
+        timeout: after which it is ended [s].
+        backend: for ``MUJOCO_GL``; as it is if empty.
+    """
+    environment = {**os.environ, "LP_NUM_THREADS": "0", **({"MUJOCO_GL": backend} if backend else {})}
+    command = [sys.executable, "-m", "nerf_rl.tools.doctor_probes", name]
+    try:
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=timeout)
+    except subprocess.TimeoutExpired:
+        return {"ok": False, "error": f"it hung for {timeout:.0f} s"}
+    try:
+        return json.loads(done.stdout.strip().rpartition("\n")[2])
+    except ValueError:
+        last = done.stderr.strip().rpartition("\n")[2]
+        ended = f"it crashed (signal {-done.returncode})" if done.returncode < 0 else f"it ended with {done.returncode}"
+        return {"ok": False, "error": f"{ended} {last}".strip()}
+
+
+def rendering(probes: dict[str, dict], chosen: str | None) -> Iterable[Finding]:
+    """Judge the backends: the one that commands will use must work.
+
+    Args:
+        probes: what was found, by backend.
+        chosen: ``MUJOCO_GL``, which importing nerf_rl fills in.
+    """
+    working = [name for name, probe in probes.items() if probe["ok"]]
+    for name, probe in probes.items():
+        used = " (the one in use)" if name == chosen else ""
+        if probe["ok"]:
+            kind = "software" if any(word in probe["renderer"] for word in _SOFTWARE) else "hardware"
+            yield Finding(f"rendering with {name}", "ok", f"{kind} renderer {probe['renderer']}{used}")
+            continue
+        needed = name == chosen or (chosen not in probes and not working and name == "egl")
+        fix = f"export MUJOCO_GL={working[0]}" if needed and working else BACKENDS[name]
+        status = "broken" if needed else "note"
+        yield Finding(f"rendering with {name}", status, f"{_shortened(probe['error'])}{used}", fix)
+
+
+def torch_pair(probe: dict) -> Finding:
+    """Judge torch and TorchRL."""
+    if probe["ok"]:
+        return Finding("torch", "ok", f"torch {probe['torch']} with torchrl {probe['torchrl']}; {probe['device']}")
+    fix = "install a pair that fits: pip install 'torch>=2.14.1,<2.16' 'torchrl>=0.14.1,<0.15'"
+    return Finding("torch", "broken", _shortened(probe["error"]), fix)
+
+
+def extras(export: dict) -> Iterable[Finding]:
+    """Judge the optional packages.
+
+    Args:
+        export: what the probe of Open3D found.
+    """
+    for extra, (module, package) in EXTRAS.items():
+        if importlib.util.find_spec(module) is None:
+            yield Finding(f"extra {extra}", "note", f"{package} is not installed", f"pip install '.[{extra}]'")
+        else:
+            yield Finding(f"extra {extra}", "ok", f"{package} {importlib.metadata.version(package)}")
+    if export["ok"]:
+        yield Finding("extra export", "ok", f"open3d {export['version']}")
+    elif importlib.util.find_spec("open3d") is None:
+        yield Finding("extra export", "note", "open3d is not installed", "pip install '.[export]'")
+    else:
+        yield Finding("extra export", "note", _shortened(export["error"]), "apt install libusb-1.0-0 libgl1 libgomp1")
+
+
+def machine() -> Finding:
+    """Report processors and threads."""
+    usable, threads = len(os.sched_getaffinity(0)), os.environ.get("OMP_NUM_THREADS")
+    limit = f", OMP_NUM_THREADS={threads}" if threads else ""
+    return Finding("processors", "ok", f"{usable} of {os.cpu_count()} may be used{limit}; use --workers {usable}")
+
+
+def shared_memory(folder: Path) -> Finding:
+    """Judge the memory that worker processes share."""
+    if not folder.is_dir():
+        return Finding("shared memory", "broken", f"there is no {folder}", f"mount -t tmpfs shm {folder}")
+    free = shutil.disk_usage(folder).free / _GIGABYTE
+    if free >= _ENOUGH_SHARED:
+        return Finding("shared memory", "ok", f"{free:.1f} GB free in {folder}")
+    status = "note" if free >= _LEAST_SHARED else "broken"
+    return Finding(
+        "shared memory", status, f"{free:.2f} GB free in {folder}", "in a container: docker run --shm-size 2g"
+    )
+
+
+def disk(folder: Path) -> Finding:
+    """Judge the free space where results go."""
+    there = next(parent for parent in (folder.absolute(), *folder.absolute().parents) if parent.exists())
+    free = shutil.disk_usage(there).free / _GIGABYTE
+    if free >= _ENOUGH_DISK:
+        return Finding("disk", "ok", f"{free:.0f} GB free in {there}")
+    status = "note" if free >= _LEAST_DISK else "broken"
+    return Finding("disk", status, f"{free:.1f} GB free in {there}", "free some space, or choose another --out")
+
+
+def _shortened(text: str, most: int = 160) -> str:
+    return text if len(text) <= most else f"{text[: most - 1]}…"

@@ -1,0 +1,89 @@
+"""The doctor: what works is found to work, what does not comes with its fix, and nothing takes the doctor down."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from nerf_rl import cli
+from nerf_rl.tools import doctor, doctor_probes
+
+
+def test_a_machine_that_passes_the_tests_is_well(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(doctor, "_LEAST_DISK", 0.0)  # not the machine's space is tested here
+    monkeypatch.setattr(doctor, "_LEAST_SHARED", 0.0)
+    assert cli.main(["doctor", "--folder", str(tmp_path / "new"), "--json", str(tmp_path / "report.json")]) == 0
+    printed = capsys.readouterr().out
+    report = json.loads((tmp_path / "report.json").read_text())
+    by_name = {finding["name"]: finding for finding in report["findings"]}
+    assert report["ok"] and by_name["torch"]["status"] == "ok"
+    assert "(the one in use)" in printed and "everything that is needed works" in printed
+    for finding in report["findings"]:
+        assert finding["detail"] in printed
+        assert (finding["status"] == "ok") == (finding["fix"] == "")
+
+
+def test_a_probe_that_crashes_hangs_or_babbles_is_told_apart(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    program = tmp_path / "python"
+    monkeypatch.setattr(sys, "executable", str(program))
+    told = {}
+    for name, body in {"crash": "kill -SEGV $$", "hang": "exec sleep 60", "babble": "echo hello; exit 3"}.items():
+        program.write_text(f"#!/bin/sh\n{body}\n")
+        program.chmod(0o755)
+        told[name] = doctor.run_probe("rendering", 1.0)
+    assert not any(probe["ok"] for probe in told.values())
+    assert "signal 11" in told["crash"]["error"]
+    assert "hung for 1 s" in told["hang"]["error"]
+    assert "ended with 3" in told["babble"]["error"]
+
+
+@pytest.mark.parametrize(
+    "working, chosen, broken, fix",
+    [
+        (["egl", "osmesa"], "egl", [], ""),
+        (["osmesa"], "egl", ["egl"], "export MUJOCO_GL=osmesa"),
+        ([], "egl", ["egl"], "apt install libegl1"),
+        ([], None, ["egl"], "apt install libegl1"),
+        (["egl"], "glfw", ["glfw"], "export MUJOCO_GL=egl"),
+    ],
+)
+def test_only_the_backend_in_use_must_work(working: list[str], chosen: str | None, broken: list[str], fix: str):
+    probes = {
+        name: {"ok": True, "renderer": "llvmpipe"} if name in working else {"ok": False, "error": "no display"}
+        for name in doctor.BACKENDS
+    }
+    findings = {finding.name.split()[-1]: finding for finding in doctor.rendering(probes, chosen)}
+    assert [name for name, finding in findings.items() if finding.status == "broken"] == broken
+    for name in broken:
+        assert fix in findings[name].fix
+    for name in working:
+        assert findings[name].detail.startswith("software renderer llvmpipe")
+
+
+def test_what_is_needed_and_broken_fails_the_command(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    error = "RuntimeError: SumSegmentTreeFp32 is not available"
+    monkeypatch.setattr(doctor, "probed", lambda timeout: [doctor.torch_pair({"ok": False, "error": error})])
+    assert cli.main(["doctor"]) == 1
+    output = capsys.readouterr()
+    assert "broken   torch" in output.out and error in output.out and "pip install 'torch>=" in output.out
+    assert "what is needed does not work:" in output.err and "torch" in output.err
+
+
+def test_little_memory_or_space_is_told_with_a_fix(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    for free, status in ((1e6, "broken"), (0.2e9, "note"), (0.8e9, "ok")):
+        monkeypatch.setattr(doctor.shutil, "disk_usage", lambda _, free=free: type("Usage", (), {"free": free}))
+        finding = doctor.shared_memory(tmp_path)
+        assert (finding.status, bool(finding.fix)) == (status, status != "ok")
+    assert doctor.disk(tmp_path / "not" / "there").status == "broken"
+    assert doctor.shared_memory(tmp_path / "none").status == "broken"
+
+
+def test_a_probe_of_rendering_fails_on_a_wrong_picture(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(doctor_probes, "_SCENE", doctor_probes._SCENE.replace("0.9 0.1 0.1", "0.1 0.9 0.1"))
+    with pytest.raises(RuntimeError, match="a red ball has the colour"):
+        doctor_probes.rendering()
