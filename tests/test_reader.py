@@ -1,15 +1,18 @@
 """Reading shards: the same rows as h5py's, in any order, from any process."""
 
+import gc
 import json
-import multiprocessing
+import os
 import pickle
-from multiprocessing.connection import Connection
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from torch.utils.data import DataLoader, Dataset
 
+from nerf_rl.datasets import reader
 from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.datasets.shards import MANIFEST, SCHEMA_VERSION, SHARDS, ShardWriter, frame_layout
 from nerf_rl.errors import MissingFileError, UnknownNameError
@@ -61,9 +64,18 @@ def by_h5py(folder: Path, name: str) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def send_rows(dataset: MultiViewDataset, frames: list[int], pipe: Connection) -> None:
-    """Send rows of some frames from another process."""
-    pipe.send(dataset.read("depth", frames))
+class Samples(Dataset):
+    """Frames of a dataset for a DataLoader."""
+
+    def __init__(self, dataset: MultiViewDataset):
+        self.dataset = dataset
+
+    def __len__(self) -> int:
+        return len(self.dataset)
+
+    def __getitem__(self, frame: int) -> dict[str, np.ndarray]:
+        names = ("rgb", "depth", "state/qpos", "cameras/projection")
+        return {name: self.dataset.read(name, [frame])[0] for name in names}
 
 
 @pytest.fixture
@@ -135,19 +147,60 @@ def test_a_pickled_dataset_reads_the_same(folder: Path):
     np.testing.assert_array_equal(dataset.read("rgb"), expected)
 
 
-@pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_another_process_reads_the_same_while_this_one_goes_on(folder: Path, method: str):
-    dataset, frames = MultiViewDataset(folder), [3, 0, 8, 3]
-    expected = dataset.read("depth", frames)  # files are open now
-    context = multiprocessing.get_context(method)
-    receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=send_rows, args=(dataset, frames, sender))  # type: ignore[attr-defined]
-    process.start()
-    assert receiver.poll(60)
-    np.testing.assert_array_equal(receiver.recv(), expected)
-    process.join()
-    assert process.exitcode == 0
-    np.testing.assert_array_equal(dataset.read("depth", frames), expected)
+@pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
+def test_a_dataloaders_workers_read_what_this_process_reads(folder: Path, method: str):
+    dataset = MultiViewDataset(folder)
+    samples = Samples(dataset)
+    expected = [samples[frame] for frame in range(len(dataset))]  # files are open now
+    count = 2 if method == "fork" else 1  # the others import torch anew
+    loader = DataLoader(samples, batch_size=2, num_workers=count, multiprocessing_context=method)  # type: ignore[arg-type]
+    batches = list(loader)
+    for name in expected[0]:
+        rows = np.concatenate([batch[name].numpy() for batch in batches])
+        np.testing.assert_array_equal(rows, np.stack([sample[name] for sample in expected]))
+    np.testing.assert_array_equal(dataset.read("depth"), by_h5py(folder, "depth"))
+
+
+def test_threads_read_the_same_while_files_are_opened_and_closed(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(reader, "_MOST_OPEN_FILES", 1)
+    dataset, expected = MultiViewDataset(folder), by_h5py(folder, "rgb")
+
+    def read(seed: int) -> bool:
+        frames = np.random.default_rng(seed).permutation(len(expected))
+        return all(np.array_equal(dataset.read("rgb", frames), expected[frames]) for _ in range(20))
+
+    with ThreadPoolExecutor(4) as pool:
+        assert all(pool.map(read, range(4)))
+
+
+def test_no_more_files_stay_open_than_a_process_may_have(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(reader, "_MOST_OPEN_FILES", 2)
+    dataset = MultiViewDataset(folder)
+    for frame in (0, 4, 8, 0):
+        dataset.read("episode", [frame])
+    gc.collect()
+    targets = [os.readlink(link) for link in Path("/proc/self/fd").iterdir() if link.is_symlink()]
+    assert sum(target.startswith(str(folder)) for target in targets) == 2
+
+
+def test_neighbouring_frames_are_read_together(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    dataset, expected = MultiViewDataset(folder), by_h5py(folder, "depth")
+    reads, read_rows = [], reader._read_rows
+    monkeypatch.setattr(reader, "_read_rows", lambda *arguments: reads.append(arguments[-1]) or read_rows(*arguments))
+    np.testing.assert_array_equal(dataset.read("depth", [1, 2, 3, 4, 5, 8, 0]), expected[[1, 2, 3, 4, 5, 8, 0]])
+    assert reads == [2, 3, 1, 1]  # shards hold 3, 4 and 2 frames
+    monkeypatch.setattr(reader, "_MOST_BYTES", 2 * expected[0].nbytes)
+    np.testing.assert_array_equal(dataset.read("depth"), expected)
+    assert reads[4:] == [2, 1, 2, 2, 2]
+
+
+def test_a_shard_that_was_cut_off_is_an_error_not_noise(folder: Path):
+    dataset = MultiViewDataset(folder)
+    dataset.read("success", [0])
+    with open(folder / SHARDS / "000000.h5", "r+b") as file:
+        file.truncate(4096)
+    with pytest.raises(OSError, match=r"000000\.h5 ends after"):
+        dataset.read("depth", [0, 1, 2])
 
 
 def test_an_unknown_array_is_answered_with_the_names(folder: Path):

@@ -1,8 +1,11 @@
 """Reading a dataset: frames by index, from many shards, with memory that does not grow with the dataset."""
 
 import hashlib
+import itertools
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from io import FileIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +17,10 @@ from numpy import ndarray
 from nerf_rl.cameras import projection_matrix
 from nerf_rl.datasets.shards import SPLIT_NAMES, read_manifest
 from nerf_rl.errors import MissingFileError, UnknownNameError
+
+_MOST_OPEN_FILES = 128  # a large dataset has more shards than a process may have open files
+_MOST_BYTES = 1 << 26  # of one read
+_COMPARED = 3  # layouts of shards
 
 
 class _ArrayLocation(NamedTuple):
@@ -30,7 +37,8 @@ class _ArrayLocation(NamedTuple):
 class MultiViewDataset:
     """A dataset folder, read lazily: each access reads just the frames asked for.
 
-    Safe under ``fork`` and ``spawn``, and picklable. Array names are those of datasets/README.md.
+    Picklable, and safe in threads and under ``fork``, ``spawn`` and ``forkserver``. Array names are those of
+    datasets/README.md.
 
     Args:
         folder: of the dataset.
@@ -48,8 +56,8 @@ class MultiViewDataset:
             if not path.is_file():
                 raise MissingFileError("a whole dataset", self.folder, f"{path.name} is missing", remedy)
         self._first = np.cumsum([0, *(shard["frames"] for shard in self.manifest["shards"])])
-        self._shards: dict[int, tuple[int, dict[str, _ArrayLocation]]] = {}
-        self._owner = os.getpid()
+        self._arrays: dict[int, Mapping[str, _ArrayLocation]] = {}
+        self._open = lru_cache(_MOST_OPEN_FILES)(_open_unbuffered)
 
     def __len__(self) -> int:
         return int(self._first[-1])
@@ -103,50 +111,73 @@ class MultiViewDataset:
         if len(indices) == 0 or indices.min() < 0 or indices.max() >= len(self):
             raise IndexError(f"frames must be some of 0 to {len(self) - 1}")
         shard_of = np.searchsorted(self._first, indices, side="right") - 1
-        _, arrays = self._open(int(shard_of[0]))
-        if name not in arrays:
-            raise UnknownNameError("array", name, arrays)
-        shape, dtype = arrays[name].shape, arrays[name].dtype
-        size = int(np.prod(shape)) * dtype.itemsize
-        rows = np.empty((len(indices), *shape), dtype)
-        for shard in np.unique(shard_of):
-            descriptor, arrays = self._open(int(shard))
-            location = arrays[name]
-            for place in np.flatnonzero(shard_of == shard):
-                row = 0 if location.constant else int(indices[place] - self._first[shard])
-                content = os.pread(descriptor, size, location.offset + row * size)
-                rows[place] = np.frombuffer(content, dtype).reshape(shape)
+        like = self._location(int(shard_of[0]), name)
+        size = int(np.prod(like.shape)) * like.dtype.itemsize
+        rows = np.empty((len(indices), *like.shape), like.dtype)
+        if rows.nbytes == 0:
+            return rows
+        most = max(1, _MOST_BYTES // size)
+        breaks = np.flatnonzero((np.diff(indices) != 1) | (np.diff(shard_of) != 0)) + 1
+        for begin, end in itertools.pairwise([0, *breaks.tolist(), len(indices)]):  # runs of neighbours in one shard
+            shard = int(shard_of[begin])
+            location, file = self._location(shard, name), self._open(self._paths[shard])
+            if location.constant:
+                rows[begin:end] = _read_rows(file, location.offset, location, 1)
+                continue
+            for first in range(begin, end, most):
+                count = min(most, end - first)
+                row = int(indices[first] - self._first[shard])
+                rows[first : first + count] = _read_rows(file, location.offset + row * size, location, count)
         return rows
 
     def cameras(self, frames: Sequence[int] | ndarray) -> tuple[Float[ndarray, "V 3 3"], Float[ndarray, "N V 4 4"]]:
         """Return intrinsics [pixels] and the ``camera_from_world`` of each frame and camera."""
-        with h5py.File(self._paths[0], "r") as file:
-            intrinsics = file["cameras/intrinsics"][:]
-            fixed = file["cameras/camera_from_world"]
-            if fixed.ndim == 3:
-                return intrinsics, np.broadcast_to(fixed[:], (len(frames), *fixed.shape))
-        return intrinsics, self.read("cameras/camera_from_world", frames)
+        return self.read("cameras/intrinsics", [0])[0], self.read("cameras/camera_from_world", frames)
 
     def projections(self, frames: Sequence[int] | ndarray) -> Float[ndarray, "N V 3 4"]:
         """Return P = K [R | t] of each frame and camera."""
         intrinsics, poses = self.cameras(frames)
         return projection_matrix(np.broadcast_to(intrinsics, (len(poses), *intrinsics.shape)), poses)
 
-    def _open(self, shard: int) -> tuple[int, dict[str, _ArrayLocation]]:
-        if self._owner != os.getpid():  # a forked child must not share file positions' fate with its parent
-            self._shards, self._owner = {}, os.getpid()
-        if shard not in self._shards:
-            path = self._paths[shard]
-            self._shards[shard] = os.open(path, os.O_RDONLY), _locate_arrays(path)
-        return self._shards[shard]
+    def _location(self, shard: int, name: str) -> _ArrayLocation:
+        if shard not in self._arrays:
+            found = _locate_arrays(self._paths[shard])
+            # nearly all shards are laid out alike, and then share one description
+            self._arrays[shard] = next(
+                (known for known in list(self._arrays.values())[:_COMPARED] if known == found), found
+            )
+        if name not in self._arrays[shard]:
+            raise UnknownNameError("array", name, self._arrays[shard])
+        return self._arrays[shard][name]
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_shards": {}}
+        return {name: value for name, value in self.__dict__.items() if name != "_open"}
 
-    def __del__(self) -> None:
-        if getattr(self, "_owner", None) == os.getpid():
-            for descriptor, _ in self._shards.values():
-                os.close(descriptor)
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._open = lru_cache(_MOST_OPEN_FILES)(_open_unbuffered)
+
+
+def _open_unbuffered(path: Path) -> FileIO:
+    """Open a file that closes itself when the last of its users, perhaps in another thread, has let go of it."""
+    return FileIO(path)
+
+
+def _read_rows(file: FileIO, offset: int, location: _ArrayLocation, count: int) -> ndarray:
+    """Read neighbouring rows without moving the file's position, which forked processes share.
+
+    Raises:
+        OSError: the file ends before them.
+    """
+    rows = np.empty((count, *location.shape), location.dtype)
+    view = rows.data.cast("B")
+    done = 0
+    while done < len(view):
+        got = os.preadv(file.fileno(), [view[done:]], offset + done)
+        if got == 0:
+            raise OSError(f"{file.name} ends after {offset + done} bytes, within an array; make the dataset again")
+        done += got
+    return rows
 
 
 def _locate_arrays(path: Path) -> dict[str, _ArrayLocation]:
