@@ -3,7 +3,7 @@
 import dataclasses
 import re
 import typing
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from jsonargparse import ActionConfigFile, ArgumentError, ArgumentParser, set_parsing_settings
@@ -39,6 +39,21 @@ def parse_config(config: type, program: str, description: str, arguments: Sequen
         values = {field.name: namespace[field.name] for field in dataclasses.fields(config)}
         return config(**values)
     except (ArgumentError, ValueError) as error:
+        raise _explain(str(error), config) from error
+
+
+def config_of(config: type, content: Mapping[str, Any]) -> Any:
+    """Return an instance of the dataclass ``config`` from its keys and values, such as JSON has kept them.
+
+    Raises:
+        UserError: a key that there is not, or a wrong value.
+    """
+    parser = ArgumentParser(exit_on_error=False)
+    parser.add_class_arguments(config)
+    try:
+        namespace = parser.instantiate(parser.parse_object(dict(content)))
+        return config(**{field.name: namespace[field.name] for field in dataclasses.fields(config)})
+    except (ArgumentError, ValueError, TypeError) as error:
         raise _explain(str(error), config) from error
 
 

@@ -55,7 +55,7 @@ def prepare_output(
     """Create an output folder, or empty or keep an existing one, after :func:`check_output`."""
     check_output(folder, overwrite, resume, can_resume, command)
     if _in_use(folder) and not (resume and can_resume):
-        shutil.rmtree(folder)
+        _empty(folder)
     folder.mkdir(parents=True, exist_ok=True)
 
 
@@ -81,6 +81,15 @@ def _in_use(folder: Path) -> bool:
     return folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
 
 
+def _empty(folder: Path) -> None:
+    """Delete what a folder holds; its provenance goes last, so that one cut off meanwhile may be overwritten again."""
+    for path in sorted(folder.iterdir(), key=lambda path: path.name == PROVENANCE):
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
+
+
 def _cut_off_early(folder: Path, command: str) -> bool:
     """Tell whether a run of the command was begun in the folder and left no result."""
     begun = folder / PROVENANCE
@@ -97,11 +106,25 @@ def written_whole(path: Path) -> Iterator[Path]:
     aside = path.with_name(f".partial-{path.name}")
     try:
         yield aside
-        with open(aside, "rb") as file:
-            os.fsync(file.fileno())
-        os.replace(aside, path)
+        rename_durably(aside, path)
     finally:
         aside.unlink(missing_ok=True)
+
+
+def rename_durably(aside: Path, path: Path) -> None:
+    """Flush a file to disk and give it its name, which is on disk too when this returns."""
+    _flush(aside)
+    os.replace(aside, path)
+    _flush(path.parent)
+
+
+def _flush(path: Path) -> None:
+    """Wait until a file's content, or a folder's list of names, is on disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -112,7 +135,12 @@ def write_text(path: Path, text: str) -> None:
 
 def write_json(path: Path, content: Any) -> None:
     """Write JSON whole or not at all; numbers that JSON has no word for (NaN, infinity) are an error."""
-    write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+    write_text(path, json_text(content))
+
+
+def json_text(content: Any) -> str:
+    """Return what :func:`write_json` writes; the same content gives the same text."""
+    return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
 
 def read_json(path: Path) -> Any:
