@@ -18,7 +18,7 @@ from nerf_rl.errors import FailureError, UnknownNameError, UserError
 class Command:
     """One sub-command: its configuration class and its function as ``module:name``, and a line of help.
 
-    ``positional`` is the key that a word without one stands for.
+    ``positional`` is the key that a word without one stands for; with ``+``, each word is appended to its list.
     """
 
     config: str
@@ -38,6 +38,18 @@ COMMANDS = {
         "nerf_rl.datasets.export.export:export",
         "write a dataset's frames as nerfstudio scenes, coloured point clouds or fused meshes",
         positional="dataset",
+    ),
+    "merge": Command(
+        "nerf_rl.datasets.merge_config:MergeConfig",
+        "nerf_rl.datasets.merge:merge",
+        "put the parts that gen-dataset --shard I/N rendered together into one dataset",
+        positional="parts+",
+    ),
+    "check": Command(
+        "nerf_rl.datasets.check_config:CheckConfig",
+        "nerf_rl.datasets.check:check",
+        "find every changed, missing or unusable file of a dataset, and render such shards again",
+        positional="folder",
     ),
     "pretrain": Command(
         "nerf_rl.pretrain.config:PretrainConfig",

@@ -7,6 +7,10 @@ machine without a display. Importing :mod:`nerf_rl` therefore fills the variable
 import ctypes
 import os
 import sys
+from pathlib import Path
+
+_SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "software")
+_HARDWARE_DRIVERS = {"nvidia", "amdgpu"}
 
 
 def set_default_backend() -> None:
@@ -25,3 +29,27 @@ def set_default_backend() -> None:
 def use_one_software_thread() -> None:
     """Let software OpenGL (llvmpipe) draw in the calling thread: a process per core renders more than threads do."""
     os.environ.setdefault("LP_NUM_THREADS", "0")
+
+
+def is_software(renderer: str) -> bool:
+    """Tell whether an OpenGL implementation, by its name for itself, renders on the processor."""
+    return any(name in renderer.lower() for name in _SOFTWARE_RENDERERS)
+
+
+def graphics_card() -> str | None:
+    """Return the device file or driver of a graphics card that could render, or None."""
+    devices = sorted(Path("/dev").glob("nvidia[0-9]*"))
+    drivers = {path.resolve().name for path in Path("/sys/class/drm").glob("renderD*/device/driver")}
+    cards = [str(device) for device in devices] + sorted(drivers & _HARDWARE_DRIVERS)
+    return cards[0] if cards else None
+
+
+def warn_of_software_rendering(renderer: str) -> None:
+    """Print a warning if a graphics card is at hand and rendering does not use it."""
+    card = graphics_card()
+    if card is not None and is_software(renderer):
+        print(
+            f"warning: {renderer} renders on the processor although there is a graphics card ({card}); "
+            "check that its OpenGL driver is installed and that MUJOCO_GL is egl",
+            file=sys.stderr,
+        )

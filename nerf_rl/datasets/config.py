@@ -1,10 +1,14 @@
 """What a dataset is made of: scene, cameras, behaviour, size."""
 
 import dataclasses
+import re
 from dataclasses import dataclass, field
 
 from nerf_rl.datasets.rig_config import RigConfig
-from nerf_rl.errors import UserError
+from nerf_rl.errors import UnknownNameError, UserError
+
+BACKENDS = ("loky", "ray")
+_HOW_NOT_WHAT = ("out", "workers", "backend", "worker_timeout", "shard", "estimate", "resume", "overwrite")
 
 
 @dataclass
@@ -83,6 +87,14 @@ class GenDatasetConfig:
     """episodes in a shard file"""
     workers: int = 2
     """render processes"""
+    backend: str = "loky"
+    """where they run: loky: on this machine; ray: on a Ray cluster (extra 'ray'; RAY_ADDRESS names it)"""
+    worker_timeout: float = 120.0
+    """a render process that gets no frame done for so long is ended, and its shard rendered anew [s]"""
+    shard: str = ""
+    """I/N: render only every N-th shard from the I-th on, as one of N jobs; nerf-rl merge puts the parts together"""
+    estimate: bool = False
+    """tell frames, bytes and minutes, measured on a few frames, and write nothing"""
     seed: int = 0
     """seed of everything random"""
     resume: bool = False
@@ -94,6 +106,13 @@ class GenDatasetConfig:
         for name in ("episodes", "frames_per_episode", "episode_steps", "episodes_per_shard", "workers"):
             if getattr(self, name) < 1:
                 raise UserError(f"--{name} must be at least 1, got {getattr(self, name)}")
+        if self.backend not in BACKENDS:
+            raise UnknownNameError("backend", self.backend, BACKENDS)
+        if self.backend == "ray" and self.workers < 2:
+            raise UserError("--backend ray needs at least 2 --workers; use --backend loky for one")
+        if self.worker_timeout <= 0:
+            raise UserError(f"--worker_timeout must be positive, got {self.worker_timeout}")
+        self.share()
         if self.size < 8:
             raise UserError(f"--size must be at least 8, got {self.size}")
         if self.quality not in ("fast", "full"):
@@ -108,5 +127,11 @@ class GenDatasetConfig:
 
     def content(self) -> dict:
         """Return the keys that decide the content of the dataset (not where, how fast or in how many processes)."""
-        ignored = ("out", "workers", "resume", "overwrite")
-        return {key: value for key, value in dataclasses.asdict(self).items() if key not in ignored}
+        return {key: value for key, value in dataclasses.asdict(self).items() if key not in _HOW_NOT_WHAT}
+
+    def share(self) -> tuple[int, int]:
+        """Return I and N of ``shard``, 1 and 1 without."""
+        found = re.fullmatch(r"(\d+)/(\d+)", self.shard or "1/1")
+        if found is None or not 1 <= int(found[1]) <= int(found[2]):
+            raise UserError(f"--shard must be I/N with I from 1 to N, such as 2/8, got '{self.shard}'")
+        return int(found[1]), int(found[2])

@@ -1,8 +1,10 @@
 """Making one shard: act its episodes, render frames at random steps, write them. Runs in a worker process."""
 
 import functools
+import hashlib
 import itertools
-import signal
+import json
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,12 +14,16 @@ from numpy import ndarray
 from nerf_rl.cameras import projection_matrix
 from nerf_rl.datasets.behaviours import Behaviour
 from nerf_rl.datasets.config import GenDatasetConfig
+from nerf_rl.datasets.frame_checks import array_faults, view_faults
 from nerf_rl.datasets.renderer import MultiViewRenderer
 from nerf_rl.datasets.rigs import Rig, make_rig
 from nerf_rl.datasets.scenes import Scene, make_scene
 from nerf_rl.datasets.semantics import SemanticClasses, semantic_classes
-from nerf_rl.datasets.shards import SHARDS, TRAIN, VALIDATION, Layout, ShardWriter, frame_layout
-from nerf_rl.gl import use_one_software_thread
+from nerf_rl.datasets.shards import TRAIN, VALIDATION, Layout, ShardWriter, frame_layout, sha256_of, shard_path
+from nerf_rl.errors import FailureError
+from nerf_rl.runs import peak_rss_mb, plain
+
+PLAN_ATTRIBUTE, RENDERER_ATTRIBUTE = "plan", "renderer"
 
 
 class Studio(NamedTuple):
@@ -50,15 +56,27 @@ def open_studio(config: GenDatasetConfig) -> Studio:
     return Studio(scene, behaviour, renderer, rig, classes, layout)
 
 
-def start_worker() -> None:
-    """Prepare a worker process: one core each, and interruptions are the parent's business."""
-    use_one_software_thread()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+class RenderedShard(NamedTuple):
+    """What is known of a finished shard."""
+
+    shard: int
+    frames: int
+    sha256: str
+    """of the file"""
+    renderer: str
+    """the OpenGL implementation that made it"""
+    peak_rss_mb: float = 0.0
+    """most memory that the process which made it has held [MB]"""
 
 
-def shard_path(folder: Path, shard: int) -> Path:
-    """Return where a shard is written."""
-    return folder / SHARDS / f"{shard:06d}.h5"
+def shard_count(config: GenDatasetConfig) -> int:
+    """Return the number of shards of a dataset."""
+    return -(-config.episodes // config.episodes_per_shard)
+
+
+def plan_digest(config: GenDatasetConfig) -> str:
+    """Return the SHA-256 of what decides the content; each shard carries it."""
+    return hashlib.sha256(json.dumps(plain(config.content())).encode()).hexdigest()
 
 
 def shard_episodes(config: GenDatasetConfig, shard: int) -> range:
@@ -76,9 +94,19 @@ def validation_episodes(config: GenDatasetConfig) -> frozenset[int]:
     return frozenset(int(episode) for episode in order[:count])
 
 
-def render_shard(config: GenDatasetConfig, shard: int) -> int:
-    """Write a shard; return its number of frames. The content depends on the configuration and its seed alone."""
+def render_shard(config: GenDatasetConfig, shard: int, beat: Callable[[], None]) -> RenderedShard:
+    """Write a shard. Its content depends on the configuration and its seed alone.
+
+    Args:
+        config: of the dataset.
+        shard: its number.
+        beat: called after each frame.
+
+    Raises:
+        FailureError: a frame is unusable.
+    """
     studio = _studio(_FrozenConfig(config))
+    beat()
     held_out = validation_episodes(config)
     episodes = shard_episodes(config, shard)
     constant = {"cameras/intrinsics": studio.rig.intrinsics}
@@ -87,17 +115,28 @@ def render_shard(config: GenDatasetConfig, shard: int) -> int:
         constant["cameras/camera_from_world"] = poses
         constant["cameras/projection"] = projection_matrix(studio.rig.intrinsics, poses)
     frames = len(episodes) * config.frames_per_episode
-    with ShardWriter(shard_path(Path(config.out), shard), frames, studio.layout, constant) as writer:
+    renderer = studio.renderer.gl_renderer
+    attributes = {PLAN_ATTRIBUTE: plan_digest(config), RENDERER_ATTRIBUTE: renderer}
+    path = shard_path(Path(config.out), shard)
+    with ShardWriter(path, frames, studio.layout, constant, attributes) as writer:
         for episode in episodes:
-            rows = _render_episode(studio, config, episode, VALIDATION if episode in held_out else TRAIN)
+            split = VALIDATION if episode in held_out else TRAIN
+            rows = []
+            for row in render_episode(studio, config, episode, split):
+                rows.append(row)
+                beat()
             writer.append({name: np.stack([row[name] for row in rows]) for name in studio.layout})
-    return frames
+    return RenderedShard(shard, frames, sha256_of(path), renderer, peak_rss_mb())
 
 
-def _render_episode(studio: Studio, config: GenDatasetConfig, episode: int, split: int) -> list[dict[str, ndarray]]:
+def render_episode(studio: Studio, config: GenDatasetConfig, episode: int, split: int) -> Iterable[dict[str, ndarray]]:
+    """Yield the rows of an episode's frames as they are rendered.
+
+    Raises:
+        FailureError: a view shows nothing, or a number is not finite.
+    """
     scene, rng = studio.scene, np.random.default_rng([config.seed, episode])
     kept = set(rng.choice(config.episode_steps + 1, config.frames_per_episode, replace=False).tolist())
-    rows = []
     moments = itertools.islice(studio.behaviour.act(episode, rng), max(kept) + 1)
     for place, moment in enumerate(moments):
         if place not in kept:
@@ -105,8 +144,6 @@ def _render_episode(studio: Studio, config: GenDatasetConfig, episode: int, spli
         shown = scene.shown()
         poses = studio.rig.poses(shown, rng)
         views = studio.renderer.render(shown, studio.rig.intrinsics, poses)
-        if (views.rgb == views.rgb[:, :1, :1]).all():
-            raise RuntimeError(f"episode {episode}, step {moment.step}: every view is of a single colour")
         model, data = scene.model, scene.data
         row = {
             "rgb": views.rgb,
@@ -131,8 +168,13 @@ def _render_episode(studio: Studio, config: GenDatasetConfig, episode: int, spli
         if studio.rig.moving:
             row["cameras/camera_from_world"] = poses
             row["cameras/projection"] = projection_matrix(studio.rig.intrinsics, poses)
-        rows.append(row)
-    return rows
+        faults = [
+            *(f"camera {studio.rig.names[view]} {fault}" for (view,), fault in view_faults(views.rgb, views.depth)),
+            *(f"{name} {fault}" for name, values in row.items() for fault in array_faults(values)),
+        ]
+        if faults:
+            raise FailureError(f"episode {episode}, step {moment.step}: {faults[0]}; no such frame is kept")
+        yield row
 
 
 class _FrozenConfig:

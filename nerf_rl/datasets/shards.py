@@ -6,19 +6,22 @@ compressed chunks costs more than a small encoder's training step.
 
 import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from types import TracebackType
 
 import h5py
 from numpy import ndarray
 
+from nerf_rl.datasets.sealed_json import CHECKSUM, is_whole
 from nerf_rl.errors import MissingFileError
-from nerf_rl.runs import read_json
+from nerf_rl.runs import read_json, rename_durably
 
 SCHEMA_VERSION = 1
 MANIFEST = "manifest.json"
 SHARDS = "shards"
+PARTS = "parts"
+_PARTIAL = ".partial"
 TRAIN, VALIDATION = 0, 1
 SPLIT_NAMES = ("train", "validation")
 
@@ -69,10 +72,18 @@ class ShardWriter:
         frames: how many frames it has.
         layout: its arrays with one row a frame.
         constant: its other arrays.
+        attributes: what else to record of it, as attributes of the file.
     """
 
-    def __init__(self, path: Path, frames: int, layout: Layout, constant: Mapping[str, ndarray]):
-        self._path, self._aside = path, path.with_name(f".{path.name}.{os.getpid()}.partial")
+    def __init__(
+        self,
+        path: Path,
+        frames: int,
+        layout: Layout,
+        constant: Mapping[str, ndarray],
+        attributes: Mapping[str, str] | None = None,
+    ):
+        self._path, self._aside = path, partial_path(path)
         self._frames, self._written = frames, 0
         self._file = h5py.File(self._aside, "w", libver=("v110", "v110"))
         self._arrays = {}
@@ -80,6 +91,8 @@ class ShardWriter:
             self._arrays[name] = self._file.create_dataset(name, (frames, *shape), dtype, track_times=False)
         for name, value in constant.items():
             self._file.create_dataset(name, data=value, track_times=False)
+        for name, text in (attributes or {}).items():
+            self._file.attrs[name] = text
 
     def append(self, rows: Mapping[str, ndarray]) -> None:
         """Write some frames; every array of the layout needs the same number of rows."""
@@ -94,17 +107,40 @@ class ShardWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._file.close()
-        if error is not None or self._written != self._frames:
+        try:
+            self._file.close()
+            if error is not None:
+                return
+            if self._written != self._frames:
+                raise RuntimeError(f"{self._path.name}: {self._written} frames were written instead of {self._frames}")
+            rename_durably(self._aside, self._path)
+        finally:
             self._aside.unlink(missing_ok=True)
-        if error is not None:
-            return
-        if self._written != self._frames:
-            raise RuntimeError(f"{self._path.name}: {self._written} frames were written instead of {self._frames}")
-        descriptor = os.open(self._aside, os.O_RDONLY)
-        os.fsync(descriptor)
-        os.close(descriptor)
-        os.replace(self._aside, self._path)
+
+
+def shard_file(shard: int) -> str:
+    """Return the name of a shard's file below the dataset's folder."""
+    return f"{SHARDS}/{shard:06d}.h5"
+
+
+def shard_path(folder: Path, shard: int) -> Path:
+    """Return where a shard is written."""
+    return folder / shard_file(shard)
+
+
+def partial_path(path: Path) -> Path:
+    """Return where this process writes a shard before it is whole."""
+    return path.with_name(f".{path.name}.{os.getpid()}{_PARTIAL}")
+
+
+def partial_files(folder: Path, shards: Collection[int]) -> dict[Path, tuple[int, int]]:
+    """Return the files of some shards that are not whole, each with its shard and the id of its process."""
+    found = {}
+    for path in (folder / SHARDS).glob(f".*{_PARTIAL}"):
+        shard, _, pid = path.name.removeprefix(".").removesuffix(_PARTIAL).partition(".h5.")
+        if shard.isdigit() and pid.isdigit() and int(shard) in shards:
+            found[path] = int(shard), int(pid)
+    return found
 
 
 def sha256_of(path: Path) -> str:
@@ -123,13 +159,18 @@ def read_manifest(folder: Path) -> dict:
     path = folder / MANIFEST
     if not path.is_file():
         reason = "the folder does not exist" if not folder.exists() else f"it holds no {MANIFEST}"
-        if (folder / SHARDS).is_dir():
+        if (folder / PARTS).is_dir():
+            reason, remedy = "it holds parts of one", f"put them together with: nerf-rl merge {folder}"
+        elif (folder / SHARDS).is_dir():
             reason, remedy = "it was not finished", "finish it with the same command and --resume true"
         raise MissingFileError("a dataset", folder, reason, remedy)
     try:
         manifest = read_json(path)
         version = manifest["schema_version"]
+        if CHECKSUM in manifest and not is_whole(path):
+            raise ValueError("its checksum is that of another content")
     except (ValueError, KeyError, TypeError) as error:
+        remedy = f"mend it with: nerf-rl check {folder} --repair true"
         raise MissingFileError("a dataset", folder, f"{MANIFEST} is damaged", remedy) from error
     if version != SCHEMA_VERSION:
         raise MissingFileError("a dataset for this version", folder, f"its schema version is {version}", remedy)

@@ -1,0 +1,23 @@
+"""Which parts to put together."""
+
+from dataclasses import dataclass
+
+from nerf_rl.errors import UserError
+
+
+@dataclass
+class MergeConfig:
+    """Keys of ``nerf-rl merge``."""
+
+    parts: list[str]
+    """folders that gen-dataset --shard I/N wrote to"""
+    out: str = ""
+    """output folder (that of the parts if they share one: no shard is copied)"""
+    resume: bool = False
+    """keep the shards that an interrupted merge has copied"""
+    overwrite: bool = False
+    """replace an existing dataset"""
+
+    def __post_init__(self) -> None:
+        if not self.out and len(self.parts) != 1:
+            raise UserError(f"--out is needed to put {len(self.parts)} folders together")

@@ -1,0 +1,95 @@
+"""What a generation writes beside its shards, and what of an earlier one it may go on with.
+
+A whole dataset's record lies in its folder. That of a part, one of N jobs that may share the folder, lies in
+``parts/I-of-N`` below it, so that jobs write no file in common.
+"""
+
+from collections.abc import Collection
+from pathlib import Path
+
+from nerf_rl.datasets.config import GenDatasetConfig
+from nerf_rl.datasets.manifest import finished_shard
+from nerf_rl.datasets.sealed_json import is_whole
+from nerf_rl.datasets.shard_rendering import RenderedShard, shard_count
+from nerf_rl.datasets.shards import MANIFEST, PARTS, SHARDS, partial_files, shard_file, shard_path
+from nerf_rl.errors import OutputExistsError, UserError
+from nerf_rl.runs import SUMMARY, check_output, plain, prepare_output, read_json, write_json, write_provenance
+
+PLAN = "plan.json"
+
+
+class OutputRecord:
+    """The record of one run of ``gen-dataset``.
+
+    Args:
+        config: of the run.
+    """
+
+    def __init__(self, config: GenDatasetConfig):
+        self._config, self.dataset = config, Path(config.out)
+        part, parts = config.share()
+        self.folder = self.dataset / PARTS / f"{part}-of-{parts}" if config.shard else self.dataset
+        self.manifest = self.folder / MANIFEST
+        self.shards = range(part - 1, shard_count(config), parts)
+        self._plan = plain(config.content())
+
+    def check(self) -> None:
+        """Refuse a folder in use, unless an interrupted run with the same plan is to go on, before anything slow.
+
+        Raises:
+            UserError: a folder in use, or one begun with another configuration.
+        """
+        config, begun = self._config, self._begun()
+        if config.shard:
+            in_use = self.dataset.exists() and (not self.dataset.is_dir() or any(self.dataset.iterdir()))
+            if in_use and not (self.dataset / PARTS).is_dir():
+                raise OutputExistsError(self.dataset, "it holds no parts that this one could join; use another --out")
+        check_output(self.folder, config.overwrite, config.resume, begun)
+        plans = [self.folder / PLAN] if config.resume else []
+        plans += self.dataset.glob(f"{PARTS}/*/{PLAN}") if config.shard else []
+        if any(path.is_file() and read_json(path) != self._plan for path in plans):
+            raise UserError(
+                f"{self.dataset} was begun with another configuration; use the same one, or --overwrite true"
+            )
+
+    def finished_shards(self) -> dict[int, RenderedShard]:
+        """Return the shards that an interrupted run left whole, by number; none unless it is to be resumed.
+
+        A shard that is not what an earlier manifest says is not among them, so that no damage is signed anew.
+        """
+        if not self._config.resume:
+            return {}
+        signed = is_whole(self.manifest) and read_json(self.manifest)["shards"]
+        recorded = {entry["file"]: entry["sha256"] for entry in signed or []}
+        found = {}
+        for number in self.shards:
+            shard = finished_shard(self.dataset, self._config, number)
+            if shard is not None and recorded.get(shard_file(number), shard.sha256) == shard.sha256:
+                found[number] = shard
+        return found
+
+    def is_complete(self) -> bool:
+        """Tell whether the record is that of a finished run."""
+        return is_whole(self.manifest) and (self.folder / SUMMARY).is_file()
+
+    def prepare(self, finished: Collection[int]) -> None:
+        """Create the output folder, or keep that of an interrupted run.
+
+        Args:
+            finished: the shards to keep; others are removed, then the manifest, which comes last.
+        """
+        config = self._config
+        self.dataset.mkdir(parents=True, exist_ok=True)
+        prepare_output(self.folder, config.overwrite, config.resume, self._begun())
+        write_json(self.folder / PLAN, self._plan)
+        write_provenance(self.folder, "gen-dataset", config)
+        (self.dataset / SHARDS).mkdir(exist_ok=True)
+        lost = [shard_path(self.dataset, shard) for shard in self.shards if shard not in finished]
+        for path in [*partial_files(self.dataset, self.shards), *lost, self.manifest]:
+            path.unlink(missing_ok=True)
+
+    def _begun(self) -> bool:
+        """Tell whether an earlier run was cut off here, be it before it had written its plan."""
+        return (self.folder / PLAN).is_file() or (
+            self.folder.is_dir() and all(path.name.startswith(".partial-") for path in self.folder.iterdir())
+        )
