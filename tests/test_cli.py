@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from nerf_rl import __version__, cli
-from nerf_rl.errors import UserError
+from nerf_rl.errors import FailureError, UserError
 
 HEAVY = {"torch", "torchrl", "lightning", "mujoco", "metaworld", "gymnasium", "jsonargparse", "h5py", "numpy"}
 
@@ -26,6 +26,7 @@ def toy_command(config: ToyConfig) -> None:
     """End as the configuration says."""
     errors = {
         "mistake": UserError("that is not a dataset"),
+        "failure": FailureError("the disk is full"),
         "interrupt": KeyboardInterrupt(),
         "bug": RuntimeError("ouch"),
     }
@@ -55,7 +56,8 @@ def required_arguments(name: str) -> list[str]:
     missing = dataclasses.MISSING
     required = [f for f in dataclasses.fields(config) if f.default is missing and f.default_factory is missing]
     # a page is asked for by the report, a folder by all others; either may be called so
-    return [argument for field in required for argument in (f"--{field.name}", f"some/{field.name}.html")]
+    keys = [f"--{field.name}{'+' * (field.type == list[str])}" for field in required]
+    return [word for key, field in zip(keys, required, strict=True) for word in (key, f"some/{field.name}.html")]
 
 
 def test_help_lists_every_command_and_imports_nothing_heavy(capsys: pytest.CaptureFixture[str]):
@@ -84,14 +86,17 @@ def test_no_command_is_a_usage_error_that_shows_the_help(capsys: pytest.CaptureF
     assert "usage: nerf-rl" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("outcome, code", [("success", 0), ("bug", 1), ("mistake", 2), ("interrupt", 130)])
+@pytest.mark.parametrize(
+    "outcome, code", [("success", 0), ("bug", 1), ("failure", 1), ("mistake", 2), ("interrupt", 130)]
+)
 def test_the_exit_code_tells_how_a_command_ended(toy: str, outcome: str, code: int):
     assert cli.main([toy, "--outcome", outcome]) == code
 
 
-def test_a_mistake_is_one_sentence_and_a_bug_is_a_traceback(toy: str, capsys: pytest.CaptureFixture[str]):
-    cli.main([toy, "--outcome", "mistake"])
-    assert capsys.readouterr().err == "nerf-rl toy: that is not a dataset\n"
+def test_a_mistake_or_failure_is_one_sentence_and_a_bug_is_a_traceback(toy: str, capsys: pytest.CaptureFixture[str]):
+    for outcome, sentence in (("mistake", "that is not a dataset"), ("failure", "the disk is full")):
+        cli.main([toy, "--outcome", outcome])
+        assert capsys.readouterr().err == f"nerf-rl toy: {sentence}\n"
     cli.main([toy, "--outcome", "bug"])
     shown = capsys.readouterr().err
     assert "Traceback" in shown and "RuntimeError: ouch" in shown

@@ -108,10 +108,10 @@ def test_a_mistake_is_one_sentence_and_nothing_is_written(
 
 def test_the_summary_has_its_figures(tiny_dataset: Path):
     summary = json.loads((tiny_dataset / "summary.json").read_text())
-    assert set(summary) == {"frames", "views", "seconds", "views_per_second", "renderer"}
+    assert set(summary) == {"frames", "views", "seconds", "views_per_second", "renderer", "worker_peak_rss_mb"}
     assert summary["frames"] == EPISODES * FRAMES_PER_EPISODE and summary["views"] == summary["frames"] * VIEWS
     assert summary["views_per_second"] == pytest.approx(summary["views"] / summary["seconds"], rel=0.02)
-    assert summary["renderer"]
+    assert summary["renderer"] and 50 < summary["worker_peak_rss_mb"] < 1000
 
 
 def test_the_manifest_describes_the_shards(tiny_dataset: Path):

@@ -109,6 +109,22 @@ def test_a_written_file_replaces_the_old_one_and_leaves_nothing_beside(tmp_path:
     assert (tmp_path / "a.txt").read_text(encoding="utf-8") == "nëw"
 
 
+def test_a_folder_cut_off_while_it_was_overwritten_can_be_overwritten_again(
+    ours: Path, monkeypatch: pytest.MonkeyPatch
+):
+    (ours / "zzz").mkdir()
+
+    def stop(path: Path) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(runs.shutil, "rmtree", stop)
+        runs.prepare_output(ours, overwrite=True)
+    assert (ours / "zzz").exists()
+    runs.prepare_output(ours, overwrite=True)
+    assert list(ours.iterdir()) == []
+
+
 def test_json_refuses_what_json_cannot_say(tmp_path: Path):
     with pytest.raises(ValueError, match="JSON compliant"):
         runs.write_json(tmp_path / "a.json", {"psnr_db": float("inf")})

@@ -8,8 +8,10 @@ import h5py
 import numpy as np
 import pytest
 
+from nerf_rl.datasets.sealed_json import write_sealed
 from nerf_rl.datasets.shards import (
     MANIFEST,
+    PARTS,
     SCHEMA_VERSION,
     SHARDS,
     ShardWriter,
@@ -95,12 +97,40 @@ def test_an_interrupted_rewrite_keeps_the_shard_that_was_there(tmp_path: Path):
     assert (tmp_path / "a.h5").read_bytes() == before
 
 
-def test_the_file_is_on_disk_before_it_gets_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_the_file_is_on_disk_before_it_gets_its_name_and_the_name_after(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     calls, fsync, replace = [], os.fsync, os.replace
     monkeypatch.setattr(os, "fsync", lambda descriptor: (calls.append("fsync"), fsync(descriptor)))
     monkeypatch.setattr(os, "replace", lambda *paths: (calls.append("replace"), replace(*paths)))
     write(tmp_path / "a.h5")
-    assert calls == ["fsync", "replace"]
+    assert calls == ["fsync", "replace", "fsync"]
+
+
+def test_what_is_recorded_of_a_shard_is_in_the_file_and_keeps_it_reproducible(tmp_path: Path):
+    for name in ("a.h5", "b.h5"):
+        with ShardWriter(tmp_path / name, 2, LAYOUT, CONSTANT, {"plan": "abc"}) as writer:
+            writer.append(rows(0, 2))
+    assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
+    with h5py.File(tmp_path / "a.h5") as file:
+        assert dict(file.attrs) == {"plan": "abc"}
+
+
+def test_a_manifest_that_does_not_match_its_checksum_is_damaged(tmp_path: Path):
+    write_sealed(tmp_path / MANIFEST, {"schema_version": SCHEMA_VERSION, "frames": 30})
+    assert read_manifest(tmp_path)["frames"] == 30
+    text = (tmp_path / MANIFEST).read_text()
+    (tmp_path / MANIFEST).write_text(text.replace("30", "31"))
+    with pytest.raises(
+        MissingFileError, match=r"manifest\.json is damaged; mend it with: nerf-rl check .* --repair true"
+    ):
+        read_manifest(tmp_path)
+
+
+def test_a_folder_of_parts_is_to_be_merged(tmp_path: Path):
+    (tmp_path / PARTS).mkdir()
+    with pytest.raises(MissingFileError, match="it holds parts of one; put them together with: nerf-rl merge"):
+        read_manifest(tmp_path)
 
 
 def test_extrinsics_have_a_row_a_frame_only_if_cameras_move():

@@ -98,7 +98,7 @@ def content(folder: Path) -> dict[str, bytes]:
 def kill(
     reference: Path, folder: Path, kills: int, durations: tuple[float, float], rng: random.Random
 ) -> Iterator[dict]:
-    """Kill the process group of a generation at a random moment, resume, and compare; again and again.
+    """Kill a generation by two workers at a random moment, resume it with one, and compare; again and again.
 
     Half of the moments are uniform in the time that a run takes, half in the shorter time in which it writes shards.
 
@@ -126,7 +126,7 @@ def kill(
         process.wait()
         moments[stage(folder)] += 1
         unreadable += sum(not readable(path) for path in folder.rglob("*") if is_finished_file(path))
-        run(folder, "--resume", "true")
+        run(folder, "--resume", "true", "--workers", "1")
         identical += content(folder) == expected
         shutil.rmtree(folder)
         print(f"{number + 1} kills: {identical} byte-identical, {unreadable} unreadable files", flush=True)

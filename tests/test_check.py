@@ -1,0 +1,171 @@
+"""Checking a dataset finds any damage and names it; repairing brings back the very bytes."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from nerf_rl import cli
+from nerf_rl.datasets.sealed_json import write_sealed
+from nerf_rl.datasets.shards import MANIFEST, SHARDS, read_manifest, sha256_of
+from nerf_rl.runs import read_json
+
+FIRST, SECOND = f"{SHARDS}/000000.h5", f"{SHARDS}/000001.h5"
+Checked = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def folder(tiny_dataset: Path, tmp_path: Path) -> Path:
+    """A copy of the tiny dataset, to damage."""
+    return Path(shutil.copytree(tiny_dataset, tmp_path / "data"))
+
+
+@pytest.fixture
+def check(folder: Path, capsys: pytest.CaptureFixture[str]) -> Checked:
+    """Run ``nerf-rl check``; returns its exit code, output and message."""
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        capsys.readouterr()
+        code = cli.main(["check", str(folder), *arguments])
+        return code, *capsys.readouterr()
+
+    return run
+
+
+def flip(path: Path, place: int) -> None:
+    content = bytearray(path.read_bytes())
+    content[place] ^= 0x10
+    path.write_bytes(content)
+
+
+def change_and_sign(folder: Path, change: Callable[[h5py.File], None]) -> None:
+    """Change a shard's content and sign it in the manifest, as if it had been made so."""
+    with h5py.File(folder / SECOND, "r+") as file:
+        change(file)
+    manifest = read_manifest(folder)
+    manifest["shards"][1]["sha256"] = sha256_of(folder / SECOND)
+    write_sealed(folder / MANIFEST, manifest)
+
+
+def test_a_whole_dataset_is_told_as_such_and_left_alone(folder: Path, tiny_dataset: Path, check: Checked):
+    code, shown, message = check()
+    assert code == 0 and shown.endswith("whole and unchanged\n") and not message
+    assert (folder / MANIFEST).read_bytes() == (tiny_dataset / MANIFEST).read_bytes()
+
+
+@pytest.mark.parametrize("file", [FIRST, SECOND, MANIFEST, "plan.json"])
+def test_a_changed_byte_anywhere_is_found_in_its_file(folder: Path, check: Checked, file: str):
+    size = (folder / file).stat().st_size
+    rng = np.random.default_rng(1)
+    for place in (0, size - 1, *rng.integers(0, size, 6).tolist()):
+        flip(folder / file, place)
+        code, shown, message = check()
+        flip(folder / file, place)
+        assert code == 1 and f"is damaged: {file}; nerf-rl check {folder} --repair true" in message
+        assert f"{folder / file}: " in shown
+    assert check()[0] == 0
+
+
+def test_missing_and_foreign_shards_are_named(folder: Path, check: Checked):
+    (folder / FIRST).unlink()
+    (folder / SHARDS / "000007.h5").write_bytes(b"")
+    code, shown, message = check()
+    assert code == 1 and f"is damaged: {SHARDS}/000007.h5, {FIRST}; " in message
+    assert f"{FIRST}: it is missing" in shown and "000007.h5: manifest.json does not name it" in shown
+
+
+@pytest.mark.parametrize(
+    "change, fault",
+    [
+        (lambda file: file["rgb"].__setitem__((4, 2), 0), "camera right sees nothing: its picture is black"),
+        (lambda file: file["depth"].__setitem__((4, 0, 3, 3), np.nan), "camera top has a depth that is not finite"),
+        (lambda file: file["state/qpos"].__setitem__((4, 1), np.inf), "state/qpos is not finite"),
+        (lambda file: file["semantic"].__setitem__((4, 1, 1, 1), 200), "it has semantic classes beyond the "),
+    ],
+)
+def test_frames_that_show_nothing_are_found_even_if_signed(
+    folder: Path, check: Checked, change: Callable[[h5py.File], None], fault: str
+):
+    change_and_sign(folder, change)
+    code, shown, message = check()
+    assert code == 1 and f"is damaged: {SECOND}; " in message
+    assert fault in shown
+
+
+def test_a_frame_is_named_by_episode_and_step(folder: Path, check: Checked):
+    change_and_sign(folder, lambda file: file["rgb"].__setitem__((4, 2), 0))
+    with h5py.File(folder / SECOND) as file:
+        name = f"episode {file['episode'][4]}, step {file['step'][4]}: camera right"
+    assert name in check()[1]
+
+
+def test_a_wrong_number_of_frames_is_found(folder: Path, check: Checked):
+    manifest = read_manifest(folder)
+    manifest["shards"][0]["frames"] += 1
+    write_sealed(folder / MANIFEST, manifest)
+    _, shown, message = check()
+    assert f"is damaged: {MANIFEST}, {FIRST}; " in message
+    assert "it has 6 frames instead of 7" in shown and "it counts other than 12 frames" in shown
+
+
+def test_repairing_brings_the_same_bytes_back_and_says_what_it_cannot_mend(
+    folder: Path, tiny_dataset: Path, check: Checked
+):
+    flip(folder / SECOND, 5000)
+    (folder / "plan.json").unlink()
+    foreign = folder / SHARDS / "notes.txt"
+    foreign.write_text("mine")
+    kept = (folder / FIRST).stat().st_mtime_ns
+    code, _, message = check("--repair", "true", "--workers", "1")
+    assert code == 1 and f"what is wrong with {SHARDS}/notes.txt cannot be repaired" in message
+    assert foreign.read_text() == "mine"
+    foreign.unlink()
+    for file in (FIRST, SECOND, MANIFEST, "plan.json"):
+        assert (folder / file).read_bytes() == (tiny_dataset / file).read_bytes()
+    assert (folder / FIRST).stat().st_mtime_ns == kept
+    assert {path.name for path in folder.iterdir()} == {path.name for path in tiny_dataset.iterdir()}
+
+
+def test_a_shard_that_comes_out_otherwise_is_left_as_it_was(folder: Path, check: Checked):
+    manifest = read_manifest(folder)
+    manifest["renderer"], manifest["shards"][1]["sha256"] = "another card", "0" * 64
+    write_sealed(folder / MANIFEST, manifest)
+    before = (folder / SECOND).read_bytes()
+    code, _, message = check("--repair", "true", "--workers", "1")
+    assert code == 1 and f"{SECOND} came out otherwise than recorded and was left as it was: here " in message
+    assert "it was made by another card" in message and message.count("\n") == 1
+    assert (folder / SECOND).read_bytes() == before
+
+
+def test_a_damaged_manifest_is_written_again_from_plan_and_shards(folder: Path, tiny_dataset: Path, check: Checked):
+    text = (folder / MANIFEST).read_text()
+    (folder / MANIFEST).write_text(text.replace('"drawer"', '"drewar"'))
+    code, shown, message = check("--repair", "true")
+    assert code == 0 and "repaired manifest.json" in shown and not message
+    assert (folder / MANIFEST).read_bytes() == (tiny_dataset / MANIFEST).read_bytes()
+
+
+def test_when_nothing_tells_what_the_dataset_was_that_is_said(folder: Path, check: Checked):
+    flip(folder / MANIFEST, 100)
+    (folder / "plan.json").write_text("{")
+    code, _, message = check("--repair", "true")
+    assert code == 2 and "manifest.json and plan.json are both damaged; make the dataset again" in message
+
+
+def test_what_is_no_dataset_is_not_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert cli.main(["check", str(tmp_path / "nothing")]) == 2
+    assert "is not a dataset: the folder does not exist" in capsys.readouterr().err
+
+
+def test_resuming_renders_a_damaged_shard_anew_instead_of_signing_it(
+    folder: Path, tiny_dataset: Path, tiny_recipe: Path
+):
+    flip(folder / SECOND, 5000)
+    assert read_json(folder / MANIFEST)["shards"][1]["sha256"] != sha256_of(folder / SECOND)
+    arguments = ["gen-dataset", "--config", str(tiny_recipe), "--out", str(folder), "--resume", "true"]
+    assert cli.main(arguments) == 0
+    for file in (FIRST, SECOND, MANIFEST):
+        assert (folder / file).read_bytes() == (tiny_dataset / file).read_bytes()
