@@ -7,9 +7,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import numpy as np
-
-from nerf_rl.datasets.shards import Layout
+from nerf_rl.datasets.shards import Layout, bytes_of_a_frame
 from nerf_rl.errors import FailureError
 
 _OVERHEAD_OF_A_SHARD = 32 * 1024  # HDF5's own structures [bytes]
@@ -18,8 +16,7 @@ _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 def bytes_needed(layout: Layout, frames: int, shards: int) -> int:
     """Return the size of some shards with ``frames`` frames in all [bytes]."""
-    per_frame = sum(int(np.prod(shape)) * np.dtype(dtype).itemsize for shape, dtype in layout.values())
-    return frames * per_frame + shards * _OVERHEAD_OF_A_SHARD
+    return frames * bytes_of_a_frame(layout) + shards * _OVERHEAD_OF_A_SHARD
 
 
 def bytes_free(folder: Path) -> int:

@@ -4,6 +4,7 @@ Arrays are contiguous and uncompressed, frames first, so that a reader can fetch
 compressed chunks costs more than a small encoder's training step.
 """
 
+import errno
 import hashlib
 import os
 from collections.abc import Collection, Mapping
@@ -11,6 +12,7 @@ from pathlib import Path
 from types import TracebackType
 
 import h5py
+import numpy as np
 from numpy import ndarray
 
 from nerf_rl.datasets.sealed_json import CHECKSUM, is_whole
@@ -67,12 +69,18 @@ def frame_layout(
 class ShardWriter:
     """Writes one shard aside and renames it when it is whole; use as a context manager.
 
+    HDF5 lays the file out; its space is then claimed from the disk at once and rows are written by plain calls, because
+    HDF5 may crash when it finds the disk full.
+
     Args:
         path: of the finished shard.
         frames: how many frames it has.
         layout: its arrays with one row a frame.
         constant: its other arrays.
         attributes: what else to record of it, as attributes of the file.
+
+    Raises:
+        OSError: the disk has no room for it.
     """
 
     def __init__(
@@ -84,21 +92,34 @@ class ShardWriter:
         attributes: Mapping[str, str] | None = None,
     ):
         self._path, self._aside = path, partial_path(path)
-        self._frames, self._written = frames, 0
-        self._file = h5py.File(self._aside, "w", libver=("v110", "v110"))
-        self._arrays = {}
-        for name, (shape, dtype) in layout.items():
-            self._arrays[name] = self._file.create_dataset(name, (frames, *shape), dtype, track_times=False)
-        for name, value in constant.items():
-            self._file.create_dataset(name, data=value, track_times=False)
-        for name, text in (attributes or {}).items():
-            self._file.attrs[name] = text
+        self._frames, self._written, self._layout = frames, 0, layout
+        self._descriptor = os.open(self._aside, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            self._claim_space(frames * bytes_of_a_frame(layout))
+            self._offsets = _lay_out(self._aside, frames, layout, constant, attributes or {})
+            self._claim_space(os.fstat(self._descriptor).st_size)
+        except BaseException:
+            self._discard()
+            raise
 
     def append(self, rows: Mapping[str, ndarray]) -> None:
-        """Write some frames; every array of the layout needs the same number of rows."""
+        """Write some frames; every array of the layout needs the same number of rows.
+
+        Raises:
+            ValueError: the rows are not of the layout, or too many.
+        """
         count = len(rows["rgb"])
-        for name, array in self._arrays.items():
-            array[self._written : self._written + count] = rows[name]
+        if self._written + count > self._frames:
+            raise ValueError(f"{self._path.name}: {self._written + count} frames are more than {self._frames}")
+        for name, (shape, dtype) in self._layout.items():
+            array = np.ascontiguousarray(rows[name], dtype)
+            if array.shape != (count, *shape):
+                raise ValueError(f"{self._path.name}: {name} has the shape {array.shape} instead of {(count, *shape)}")
+            content = memoryview(array.tobytes())
+            place = self._offsets[name] + self._written * (array.nbytes // count)
+            while content:
+                written = os.pwrite(self._descriptor, content, place)
+                content, place = content[written:], place + written
         self._written += count
 
     def __enter__(self) -> "ShardWriter":
@@ -108,14 +129,48 @@ class ShardWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            self._file.close()
             if error is not None:
                 return
             if self._written != self._frames:
                 raise RuntimeError(f"{self._path.name}: {self._written} frames were written instead of {self._frames}")
             rename_durably(self._aside, self._path)
         finally:
-            self._aside.unlink(missing_ok=True)
+            self._discard()
+
+    def _claim_space(self, size: int) -> None:
+        try:
+            os.posix_fallocate(self._descriptor, 0, size)
+        except OSError as error:
+            if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL):  # not every file system can
+                raise
+
+    def _discard(self) -> None:
+        os.close(self._descriptor)
+        self._aside.unlink(missing_ok=True)
+
+
+def bytes_of_a_frame(layout: Layout) -> int:
+    """Return the size of a frame's rows [bytes]."""
+    return sum(int(np.prod(shape)) * np.dtype(dtype).itemsize for shape, dtype in layout.values())
+
+
+def _lay_out(
+    path: Path, frames: int, layout: Layout, constant: Mapping[str, ndarray], attributes: Mapping[str, str]
+) -> dict[str, int]:
+    """Write a shard without its rows; return where each array with rows begins in the file."""
+    creation = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    creation.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+    creation.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+    offsets = {}
+    with h5py.File(path, "w", libver=("v110", "v110")) as file:
+        for name, (shape, dtype) in layout.items():
+            array = file.create_dataset(name, (frames, *shape), dtype, track_times=False, dcpl=creation)
+            offsets[name] = array.id.get_offset() or 0  # empty: no offset
+        for name, value in constant.items():
+            file.create_dataset(name, data=value, track_times=False)
+        for name, text in attributes.items():
+            file.attrs[name] = text
+    return offsets
 
 
 def shard_file(shard: int) -> str:
