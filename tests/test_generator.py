@@ -11,6 +11,7 @@ import pytest
 
 from nerf_rl import cli
 from nerf_rl.datasets.config import GenDatasetConfig
+from nerf_rl.datasets.output_record import OutputRecord
 from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.datasets.shard_rendering import open_studio, validation_episodes
 from nerf_rl.datasets.shards import MANIFEST, SHARDS, sha256_of
@@ -65,6 +66,13 @@ def test_an_existing_dataset_is_refused_and_left_alone(
     assert "already exists and is not empty; use --resume true, --overwrite true or another --out" in message
     assert message.count("\n") == 1
     assert content_of(tiny_dataset) == before
+
+
+def test_resuming_keeps_no_shard_of_another_version_of_the_scene(tiny_dataset: Path, tiny_recipe: Path):
+    config = cli.parse("gen-dataset", ["--config", str(tiny_recipe), "--out", str(tiny_dataset), "--resume", "true"])
+    scene = json.loads((tiny_dataset / MANIFEST).read_text())["scene"]
+    assert list(OutputRecord(config).finished_shards(scene)) == [0, 1]
+    assert OutputRecord(config).finished_shards({**scene, "mujoco": "2.0"}) == {}
 
 
 def test_resuming_with_another_configuration_is_refused(

@@ -29,7 +29,7 @@ def test_a_dataset_of_another_rig_is_refused_and_nothing_is_written(
     shutil.copytree(tiny_dataset, other)
     manifest = json.loads((other / "manifest.json").read_text())
     manifest["cameras"][2]["name"] = "back"
-    (other / "manifest.json").write_text(json.dumps(manifest))
+    write_sealed(other / "manifest.json", manifest)
     out = tmp_path / "probe"
     assert cli.main(["probe", "--encoder", str(tiny_encoder), "--data", str(other), "--out", str(out)]) == 2
     message = capsys.readouterr().err

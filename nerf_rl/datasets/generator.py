@@ -38,7 +38,7 @@ def generate_dataset(config: GenDatasetConfig) -> None:
     warn_of_software_rendering(gl_renderer)
     frames = {shard: len(shard_episodes(config, shard)) * config.frames_per_episode for shard in record.shards}
     total = sum(frames.values())
-    done = record.finished_shards()
+    done = record.finished_shards(description["scene"])
     if len(done) == len(frames) and record.is_complete():
         print(f"{record.dataset}: nothing to do, all {len(done)} shards are there")
         return

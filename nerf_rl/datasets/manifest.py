@@ -1,5 +1,6 @@
 """What a manifest says of a dataset."""
 
+import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from nerf_rl.datasets.semantics import palette
 from nerf_rl.datasets.shard_rendering import (
     PLAN_ATTRIBUTE,
     RENDERER_ATTRIBUTE,
+    SCENE_ATTRIBUTE,
     RenderedShard,
     Studio,
     plan_digest,
@@ -71,12 +73,22 @@ def shard_entry(shard: RenderedShard) -> dict[str, Any]:
     return {"file": shard_file(shard.shard), "frames": shard.frames, "sha256": shard.sha256}
 
 
-def finished_shard(folder: Path, config: GenDatasetConfig, shard: int) -> RenderedShard | None:
-    """Return what is known of a shard on disk, or None if it is missing or not one of this configuration."""
+def finished_shard(
+    folder: Path, config: GenDatasetConfig, shard: int, scene: Mapping[str, Any]
+) -> RenderedShard | None:
+    """Return what is known of a shard on disk, or None if it is missing or of another configuration or scene.
+
+    Args:
+        folder: of the dataset.
+        config: of the dataset.
+        shard: its number.
+        scene: the scene's provenance; a model that changed since, or another MuJoCo, would render otherwise.
+    """
     path, frames = shard_path(folder, shard), len(shard_episodes(config, shard)) * config.frames_per_episode
     try:
         with h5py.File(path, "r") as file:
-            if file.attrs[PLAN_ATTRIBUTE] != plan_digest(config) or len(file["rgb"]) != frames:
+            made_of = file.attrs[PLAN_ATTRIBUTE], file.attrs[SCENE_ATTRIBUTE]
+            if made_of != (plan_digest(config), json.dumps(scene)) or len(file["rgb"]) != frames:
                 return None
             renderer = file.attrs[RENDERER_ATTRIBUTE]
     except (OSError, KeyError):

@@ -4,8 +4,9 @@ A whole dataset's record lies in its folder. That of a part, one of N jobs that 
 ``parts/I-of-N`` below it, so that jobs write no file in common.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import Any
 
 from nerf_rl.datasets.config import GenDatasetConfig
 from nerf_rl.datasets.manifest import finished_shard
@@ -52,10 +53,14 @@ class OutputRecord:
                 f"{self.dataset} was begun with another configuration; use the same one, or --overwrite true"
             )
 
-    def finished_shards(self) -> dict[int, RenderedShard]:
+    def finished_shards(self, scene: Mapping[str, Any]) -> dict[int, RenderedShard]:
         """Return the shards that an interrupted run left whole, by number; none unless it is to be resumed.
 
-        A shard that is not what an earlier manifest says is not among them, so that no damage is signed anew.
+        A shard that is not what an earlier manifest says is not among them, so that no damage is signed anew; nor is
+        one made from another version of the scene.
+
+        Args:
+            scene: the scene's provenance.
         """
         if not self._config.resume:
             return {}
@@ -63,7 +68,7 @@ class OutputRecord:
         recorded = {entry["file"]: entry["sha256"] for entry in signed or []}
         found = {}
         for number in self.shards:
-            shard = finished_shard(self.dataset, self._config, number)
+            shard = finished_shard(self.dataset, self._config, number, scene)
             if shard is not None and recorded.get(shard_file(number), shard.sha256) == shard.sha256:
                 found[number] = shard
         return found

@@ -82,13 +82,13 @@ def _rebuild_manifest(folder: Path, workers: int) -> None:
         raise UserError(f"{folder}: {MANIFEST} and {PLAN} are both damaged; make the dataset again") from error
     config = _config(folder, plan, workers)
     damaged_text = (folder / MANIFEST).read_bytes().decode(errors="replace")
-    found = (finished_shard(folder, config, number) for number in range(shard_count(config)))
-    trusted = {shard.shard: shard for shard in found if shard is not None and shard.sha256 in damaged_text}
-    doubtful = [number for number in range(shard_count(config)) if number not in trusted]
-    rendered = _render(folder, config, doubtful) if doubtful else []
     studio = open_studio(config)
     studio.renderer.close()
     description = describe(config, studio)
+    found = (finished_shard(folder, config, number, description["scene"]) for number in range(shard_count(config)))
+    trusted = {shard.shard: shard for shard in found if shard is not None and shard.sha256 in damaged_text}
+    doubtful = [number for number in range(shard_count(config)) if number not in trusted]
+    rendered = _render(folder, config, doubtful) if doubtful else []
     with contextlib.suppress(ValueError, KeyError):  # where it can still be read, it knows what the shards were made by
         description["packages"] = json.loads(damaged_text)["packages"]
     for shard in rendered:

@@ -23,7 +23,7 @@ from nerf_rl.datasets.shards import TRAIN, VALIDATION, Layout, ShardWriter, fram
 from nerf_rl.errors import FailureError
 from nerf_rl.runs import peak_rss_mb, plain
 
-PLAN_ATTRIBUTE, RENDERER_ATTRIBUTE = "plan", "renderer"
+PLAN_ATTRIBUTE, SCENE_ATTRIBUTE, RENDERER_ATTRIBUTE = "plan", "scene", "renderer"
 
 
 class Studio(NamedTuple):
@@ -116,7 +116,11 @@ def render_shard(config: GenDatasetConfig, shard: int, beat: Callable[[], None])
         constant["cameras/projection"] = projection_matrix(studio.rig.intrinsics, poses)
     frames = len(episodes) * config.frames_per_episode
     renderer = studio.renderer.gl_renderer
-    attributes = {PLAN_ATTRIBUTE: plan_digest(config), RENDERER_ATTRIBUTE: renderer}
+    attributes = {
+        PLAN_ATTRIBUTE: plan_digest(config),
+        SCENE_ATTRIBUTE: json.dumps(studio.scene.provenance()),
+        RENDERER_ATTRIBUTE: renderer,
+    }
     path = shard_path(Path(config.out), shard)
     with ShardWriter(path, frames, studio.layout, constant, attributes) as writer:
         for episode in episodes:
