@@ -153,18 +153,21 @@ def test_a_model_without_actuators_or_joints_makes_a_dataset(tmp_path: Path):
     assert (dataset.read("semantic", [0]) == 1).mean() > 0.1
 
 
-def test_a_simulation_that_diverges_is_told_and_not_recorded(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_simulation_that_diverges_is_told_and_leaves_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
     path = tmp_path / "wild.xml"
     path.write_text(
         """<mujoco><option timestep="0.5"/><worldbody><light pos="0 0 3"/><body name="arm">
         <joint name="j" stiffness="100000"/><geom size="0.1" fromto="0 0 0 0 0 1" type="capsule"/></body></worldbody>
         <actuator><motor joint="j" gear="100000"/></actuator></mujoco>"""
     )
+    monkeypatch.chdir(tmp_path)
     out = tmp_path / "data"
     arguments = ["--episodes", "2", "--frames_per_episode", "2", "--size", "16", "--workers", "1"]
     assert cli.main(["gen-dataset", "--scene", str(path), "--out", str(out), *arguments]) != 0
     assert "diverges at step" in capsys.readouterr().err
-    assert not (out / "manifest.json").exists()
+    assert not (out / "manifest.json").exists() and not (tmp_path / "MUJOCO_LOG.TXT").exists()
 
 
 def test_a_dataset_of_an_own_scene_has_all_kinds_of_cameras_and_matrices_that_agree(tmp_path: Path):

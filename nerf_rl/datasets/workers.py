@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Callable, Collection, Generator
 from pathlib import Path
 
+import mujoco
 from joblib import Parallel, delayed
 
 from nerf_rl.datasets.config import GenDatasetConfig
@@ -78,6 +79,9 @@ def _render_once(config: GenDatasetConfig, shards: list[int], backend: object) -
 def _render_watched(config: GenDatasetConfig, shard: int) -> RenderedShard:
     """Render a shard; runs in a worker process."""
     use_one_software_thread()
+    mujoco.set_mju_user_warning(
+        lambda message: None
+    )  # told here; it would write MUJOCO_LOG.TXT
     partial = partial_path(shard_path(Path(config.out), shard))
     with alarm(partial, config.worker_timeout) as beat:
         return render_shard(config, shard, beat)
