@@ -224,14 +224,14 @@ def test_a_camera_on_a_body_moves_and_turns_with_it_and_one_that_follows_only_mo
 
 def test_what_can_leave_is_followed_by_default():
     ant = make_scene("gym/Ant-v5")
-    rig = make_rig(RigConfig(), 32, ant)
+    rig = make_rig(RigConfig(random=RandomCameraConfig(2)), 32, ant)
     for seed in range(2):
         ant.env.reset(seed=seed)
         ant.data.qpos[:2] = [3.0 * seed, -2.0]
         shown = ant.shown()
-        torso = np.tile(shown.body("torso").xpos, (3, 1, 1))
+        torso = np.tile(shown.body("torso").xpos, (5, 1, 1))
         pixels, depth = project(projection_matrix(rig.intrinsics, poses_of(rig, ant)), torso)
-        assert depth.min() > 0 and np.abs(pixels - 16).max() < 8
+        assert depth.min() > 0 and np.abs(pixels - 16).max() < 12
 
 
 def test_a_model_camera_that_is_no_pinhole_by_its_angle_is_refused(tmp_path):

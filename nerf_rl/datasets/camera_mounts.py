@@ -1,6 +1,7 @@
 """Where a camera is: fixed in the world, fixed to a body, following a body, or one of the model's own."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import mujoco
@@ -36,17 +37,20 @@ def mount(config: CameraConfig, model: mujoco.MjModel, workspace: Workspace) -> 
     """
     if config.camera:
         return _of_the_model(config, model)
-    centre = workspace.centre if not (config.body or config.follow) else np.zeros(3)
-    lookat = np.array(config.lookat or centre, np.float64)
+    attached = config.body or config.follow
+    if workspace.traveller and not (attached or config.lookat or config.position):
+        config = replace(config, follow=workspace.traveller, lookat=list(workspace.from_traveller))
+        attached = config.follow
+    lookat = np.array(config.lookat or (np.zeros(3) if attached else workspace.centre), np.float64)
     if config.position:
         if np.array_equal(config.position, lookat):
             raise UserError(f"camera '{config.name}' looks at the point where it is; change its position or its lookat")
         local = look_from(np.array(config.position, np.float64), lookat)
     else:
         local = look_at(lookat, config.distance or workspace.distance(config.fovy), config.azimuth, config.elevation)
-    if not (config.body or config.follow):
+    if not attached:
         return Mount(lambda data: local, config.fovy, moves=False)
-    body = body_id(model, config.body or config.follow, f"camera '{config.name}'")
+    body = body_id(model, attached, f"camera '{config.name}'")
     turns = bool(config.body)
 
     def pose(data: mujoco.MjData) -> Float[ndarray, "4 4"]:

@@ -1,7 +1,8 @@
 """Which cameras a dataset has: single ones, rings, domes and random ones.
 
 What is left out is fitted to the scene: an empty ``lookat`` is the middle of the workspace, or the origin of the body
-that a camera belongs to; a distance of 0 is the one from which the workspace fills the image.
+that a camera belongs to; a distance of 0 is the one from which the workspace fills the image. Where a robot can travel,
+the workspace goes with it, and so do cameras that look at its middle.
 """
 
 from dataclasses import dataclass, field

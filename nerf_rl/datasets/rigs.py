@@ -126,8 +126,11 @@ class _RandomCameras:
 
     def __init__(self, config: RandomCameraConfig, model: mujoco.MjModel, workspace: Workspace):
         self.count = config.count
-        self._body = body_id(model, config.follow, "random cameras") if config.follow else None
-        self._centre = np.array(config.lookat or (workspace.centre if self._body is None else np.zeros(3)), np.float64)
+        follow, lookat = config.follow, config.lookat
+        if workspace.traveller and not (follow or lookat):
+            follow, lookat = workspace.traveller, list(workspace.from_traveller)
+        self._body = body_id(model, follow, "random cameras") if follow else None
+        self._centre = np.array(lookat or (workspace.centre if self._body is None else np.zeros(3)), np.float64)
         self._spread = workspace.radius * _SPREAD if config.lookat_spread is None else config.lookat_spread
         fitted = workspace.distance(config.fovy)
         distance = config.distance or [share * fitted for share in _DISTANCES]

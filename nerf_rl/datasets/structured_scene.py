@@ -1,5 +1,6 @@
 """Scenes of which nothing is known but the model's structure: parts, columns and cameras follow from it."""
 
+import dataclasses
 from typing import Any
 
 import mujoco
@@ -22,7 +23,7 @@ class StructuredScene(Scene):
         self._columns = StateColumns(self.model, self.parts)
         self.proprio_names, self.privileged_names = self._columns.proprio_names, self._columns.privileged_names
         self._shown = mujoco.MjData(self.model)
-        self._workspace = fit_workspace(self.model, self.shown())
+        self._workspace = self._fit_workspace()
 
     def shown(self) -> mujoco.MjData:
         """Return the state as it is to be drawn.
@@ -49,19 +50,23 @@ class StructuredScene(Scene):
         return self._columns.privileged(self.shown())
 
     def workspace(self) -> Workspace:
-        """Return the ball around what moves, as it was after the first reset."""
+        """Return the ball around what moves, as it was after the first reset; it goes with a robot that travels."""
         return self._workspace
 
     def default_cameras(self) -> list[CameraConfig]:
-        """Return a ring of three around the workspace, or around the robot if that can go away."""
-        free = [root for root in self.parts.robot if can_travel(self.model, root)]
-        follow = next((name for root in free if (name := self.model.body(root).name)), "")
-        lookat = []
-        if follow:
-            offset = self._workspace.centre - self.shown().body(follow).xpos
-            lookat = [round(float(value), 3) for value in offset]
-        return RingConfig("view", lookat=lookat, follow=follow).cameras()
+        """Return a ring of three around the workspace."""
+        return RingConfig("view").cameras()
 
     def provenance(self) -> dict[str, Any]:
         """Return name and versions, and the digest of the compiled model."""
         return {**super().provenance(), "model_sha256": model_digest(self.model)}
+
+    def _fit_workspace(self) -> Workspace:
+        shown = self.shown()
+        ball = fit_workspace(self.model, shown)
+        roots = (root for root in self.parts.robot if can_travel(self.model, root))
+        name = next((name for root in roots if (name := self.model.body(root).name)), "")
+        if not name:
+            return ball
+        x, y, z = (round(float(value), 3) for value in ball.centre - shown.body(name).xpos)
+        return dataclasses.replace(ball, traveller=name, from_traveller=(x, y, z))

@@ -79,9 +79,7 @@ def _render_once(config: GenDatasetConfig, shards: list[int], backend: object) -
 def _render_watched(config: GenDatasetConfig, shard: int) -> RenderedShard:
     """Render a shard; runs in a worker process."""
     use_one_software_thread()
-    mujoco.set_mju_user_warning(
-        lambda message: None
-    )  # told here; it would write MUJOCO_LOG.TXT
+    mujoco.set_mju_user_warning(lambda message: None)  # told here; it would write MUJOCO_LOG.TXT
     partial = partial_path(shard_path(Path(config.out), shard))
     with alarm(partial, config.worker_timeout) as beat:
         return render_shard(config, shard, beat)

@@ -17,10 +17,14 @@ class Workspace:
     Attributes:
         centre: in the world [m].
         radius: of the ball [m].
+        traveller: body that may carry the ball away, such as the torso of a robot that walks; empty if there is none.
+        from_traveller: where the middle is, as seen from that body, in the world's axes [m].
     """
 
     centre: Float[ndarray, "3"]
     radius: float
+    traveller: str = ""
+    from_traveller: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def distance(self, fovy_deg: float) -> float:
         """Return from how far a camera with this field of view [degrees] sees the whole ball [m]."""
