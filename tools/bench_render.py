@@ -17,15 +17,16 @@ from pathlib import Path
 
 os.environ["LP_NUM_THREADS"] = "0"  # before OpenGL is loaded: no thread beside the one that draws
 
-from nerf_rl.cameras import look_at  # isort: skip  # chooses OpenGL's backend before MuJoCo is imported
+import nerf_rl  # isort: skip  # noqa: F401  chooses OpenGL's backend before MuJoCo is imported
 
 import mujoco
 import numpy as np
 from numpy import ndarray
 
-from nerf_rl.cameras import intrinsics_from_fovy
-from nerf_rl.datasets.config import CameraConfig, default_cameras
+from nerf_rl.cameras import camera_position
 from nerf_rl.datasets.renderer import MultiViewRenderer, Views
+from nerf_rl.datasets.rig_config import RigConfig
+from nerf_rl.datasets.rigs import make_rig
 from nerf_rl.datasets.scenes import Scene, make_scene
 from nerf_rl.datasets.semantics import semantic_classes
 from nerf_rl.metrics import confusion_matrix, intersection_over_union, psnr_db
@@ -64,18 +65,18 @@ def main() -> None:
 
 def measure(scene: Scene, size: int, rounds: int, seed: int) -> dict:
     """Render states along random episodes in all ways; return medians of times and what the fast way shows."""
-    cameras = default_cameras()
-    intrinsics = np.stack([intrinsics_from_fovy(camera.fovy, size, size) for camera in cameras])
-    poses = np.stack([look_at(np.array(c.lookat), c.distance, c.azimuth, c.elevation) for c in cameras])
+    rig = make_rig(RigConfig(), size, scene)
     model, data = scene.model, scene.data
-    fast, plain = (MultiViewRenderer(model, size, size, len(cameras), quality) for quality in ("fast", "plain"))
-    stock = StockRenderer(model, size, cameras)
+    scene.env.reset(seed=seed)
+    detail, intrinsics, poses = rig.detail(data), rig.intrinsics, rig.poses(data, np.random.default_rng(seed))
+    fast, plain = (MultiViewRenderer(model, size, size, len(poses), quality, detail) for quality in ("fast", "plain"))
+    stock = StockRenderer(model, size, poses)
     ways: dict[str, Callable[[], object]] = {
         "stock": lambda: stock.render(data),
         "fast": lambda: fast.render(data, intrinsics, poses),
         "plain": lambda: plain.render(data, intrinsics, poses),
     }
-    classes = semantic_classes(model, scene.robot_body, scene.gripper_body)
+    classes = semantic_classes(model, scene.parts)
     confusion = np.zeros((len(classes.names), len(classes.names)), np.int64)
     times: dict[str, list[float]] = {name: [] for name in ways}
     errors = []
@@ -87,7 +88,7 @@ def measure(scene: Scene, size: int, rounds: int, seed: int) -> dict:
             for _ in range(REPEATS[name]):
                 start = time.perf_counter()
                 seen[name] = ways[name]()  # type: ignore[assignment]
-                times[name].append((time.perf_counter() - start) / len(cameras))
+                times[name].append((time.perf_counter() - start) / len(poses))
         if turn == 0:
             times = {name: [] for name in ways}  # the first rendering compiles shaders
         confusion += confusion_matrix(
@@ -106,7 +107,7 @@ def measure(scene: Scene, size: int, rounds: int, seed: int) -> dict:
         "rgb_psnr_db": round(psnr_db(float(np.mean(errors))), 2),
         "milliseconds_per_view": milliseconds,
         "class_iou": {name: round(float(value), 4) for name, value in zip(classes.names, iou, strict=True)},
-        "views": len(cameras),
+        "views": len(poses),
         "renderer": gl_renderer,
         "raw_milliseconds_per_view": {name: [round(1e3 * t, 3) for t in values] for name, values in times.items()},
     }
@@ -131,14 +132,15 @@ def mean_squared_error(first: ndarray, second: ndarray) -> float:
 class StockRenderer:
     """MuJoCo's own renderer, with its three passes a view."""
 
-    def __init__(self, model: mujoco.MjModel, size: int, cameras: list[CameraConfig]):
+    def __init__(self, model: mujoco.MjModel, size: int, camera_from_world: ndarray):
         self._renderer = mujoco.Renderer(model, size, size)
         self._cameras = []
-        for camera in cameras:
-            free = mujoco.MjvCamera()
-            free.lookat[:], free.distance = camera.lookat, camera.distance
-            free.azimuth, free.elevation = camera.azimuth, camera.elevation
-            self._cameras.append(free)
+        for position, forward in zip(camera_position(camera_from_world), camera_from_world[:, 2, :3], strict=True):
+            x, y, z = forward
+            camera = mujoco.MjvCamera()
+            camera.lookat[:], camera.distance = position + forward, 1.0
+            camera.azimuth, camera.elevation = np.rad2deg([np.arctan2(y, x), np.arcsin(z)])
+            self._cameras.append(camera)
 
     def render(self, data: mujoco.MjData) -> list[tuple[ndarray, ndarray, ndarray]]:
         """Return colours, depth and segmentation of each camera."""
