@@ -47,3 +47,21 @@ def test_a_reader_written_from_the_description_alone_finds_the_handle_where_the_
                 frames += 1
         first += count
     assert first == manifest["frames"] and frames > 20 and hits > 10
+
+
+def test_the_description_names_every_array_and_every_key_that_there_is(tiny_dataset: Path):
+    text = (Path(__file__).parents[1] / "datasets" / "README.md").read_text()
+    arrays, manifest = (text.partition(header)[2].partition("\n\n")[0] for header in ("| array in a shard", "| key in"))
+    with h5py.File(tiny_dataset / "shards" / "000000.h5") as shard:
+        found: set[str] = set()
+        shard.visititems(lambda name, item: found.add(name) if isinstance(item, h5py.Dataset) else None)
+    assert {name for name in found if f"`{name}`" not in described(arrays)} == set()
+    assert found == {name for name in described(arrays).replace("`", "").split() if name in found}
+    keys = json.loads((tiny_dataset / "manifest.json").read_text())
+    assert {key for key in keys if f"`{key}`" not in described(manifest)} == set()
+
+
+def described(table: str) -> str:
+    """Return the first column of a Markdown table, where names of arrays of one group may share a row."""
+    names = " ".join(line.split("|")[1] for line in table.splitlines()[2:])
+    return names.replace(",", " ")
