@@ -1,6 +1,7 @@
 """Dataset generation, run as the command runs it: the same bytes however it is done, and what the format promises."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -112,6 +113,19 @@ def test_a_mistake_is_one_sentence_and_nothing_is_written(
     assert words in message
     assert message.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_a_camera_that_sees_nothing_is_named_with_episode_and_step(
+    tiny_recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    cameras = "[{name: left, azimuth: 20, elevation: -30}, {name: astray, lookat: [0, 0, -90], elevation: -80}]"
+    arguments = ["--rig.cameras", cameras, "--rig.encoder", "[left]", "--rig.test", "[]", "--estimate", "true"]
+    assert generate(tiny_recipe, tmp_path / "out", *arguments) == 1
+    message = capsys.readouterr().err
+    assert re.search(
+        r"episode 0, step \d+: camera astray sees nothing: its picture is of one colour at one depth", message
+    )
+    assert message.count("\n") == 1
 
 
 def test_the_summary_has_its_figures(tiny_dataset: Path):

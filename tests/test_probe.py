@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from nerf_rl import cli
+from nerf_rl.datasets.sealed_json import write_sealed
 
 
 def test_the_command_prints_a_table_and_writes_a_summary(

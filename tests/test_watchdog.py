@@ -71,8 +71,8 @@ def test_a_child_with_another_shard_or_with_beats_is_left_alone(partial: Path):
     partial.with_name(f".000004.h5.{other.pid}.partial").touch()
     beats = partial.with_name(f".000003.h5.{beating.pid}.partial")
     try:
-        with lookout(partial.parent.parent, [3], timeout=2.0):
-            for _ in range(35):
+        with lookout(partial.parent.parent, [3], timeout=1.2):
+            for _ in range(20):
                 beats.touch()
                 time.sleep(0.1)
             assert other.poll() is None and beating.poll() is None

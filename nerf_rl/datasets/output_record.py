@@ -48,7 +48,7 @@ class OutputRecord:
         check_output(self.folder, config.overwrite, config.resume, begun)
         plans = [self.folder / PLAN] if config.resume else []
         plans += self.dataset.glob(f"{PARTS}/*/{PLAN}") if config.shard else []
-        if any(path.is_file() and read_json(path) != self._plan for path in plans):
+        if any(path.is_file() and not self._is_plan(path) for path in plans):
             raise UserError(
                 f"{self.dataset} was begun with another configuration; use the same one, or --overwrite true"
             )
@@ -90,8 +90,14 @@ class OutputRecord:
         write_provenance(self.folder, "gen-dataset", config)
         (self.dataset / SHARDS).mkdir(exist_ok=True)
         lost = [shard_path(self.dataset, shard) for shard in self.shards if shard not in finished]
-        for path in [*partial_files(self.dataset, self.shards), *lost, self.manifest]:
+        for path in [*partial_files(self.dataset, self.shards), *lost, self.manifest, self.dataset / MANIFEST]:
             path.unlink(missing_ok=True)
+
+    def _is_plan(self, path: Path) -> bool:
+        try:
+            return read_json(path) == self._plan
+        except ValueError:
+            return False
 
     def _begun(self) -> bool:
         """Tell whether an earlier run was cut off here, be it before it had written its plan."""
