@@ -38,6 +38,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=200)
     parser.add_argument("--flips", type=int, default=1000)
+    parser.add_argument("--kills-only", action="store_true", help="leave flips, disk and memory out")
     parser.add_argument("--seed", type=int, default=0, help="of the moments and bytes")
     parser.add_argument("--out", type=Path, default=Path("datasets/results/crash_safety.json"))
     options = parser.parse_args()
@@ -53,10 +54,13 @@ def main() -> None:
             "keys": KEYS,
             "undisturbed_seconds": round(undisturbed, 1),
             "renderer": json.loads((reference / MANIFEST).read_text())["renderer"],
-            "worker_peak_rss_mb": full_size_memory(Path(scratch, "memory")),
-            "disk_full": fill_disk(reference, Path(scratch, "full")),
-            "byte_flips": flip_bytes(reference, options.flips, rng),
         }
+        if not options.kills_only:
+            result |= {
+                "worker_peak_rss_mb": full_size_memory(Path(scratch, "memory")),
+                "disk_full": fill_disk(reference, Path(scratch, "full")),
+                "byte_flips": flip_bytes(reference, options.flips, rng),
+            }
         for kills in kill(reference, Path(scratch, "killed"), options.kills, (rendering, undisturbed), rng):
             result |= {"kills": kills, "seconds": round(time.monotonic() - start, 1)}
             write_json(options.out, result)
