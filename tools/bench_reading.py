@@ -25,12 +25,13 @@ from nerf_rl import cli
 from nerf_rl.datasets.frames import read_frame
 from nerf_rl.datasets.point_cloud import fuse_views
 from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.datasets.sealed_json import write_sealed
 from nerf_rl.datasets.shards import MANIFEST, SHARDS
 from nerf_rl.runs import git_revision, package_versions, read_json, write_json
 
 SIZES_GB = (1, 10, 100)
 IMAGES = ("rgb", "depth", "semantic")
-STEPS, SKIPPED = 80, 20  # of pretraining; the first are slower
+STEPS, SKIPPED = 50, 10  # of pretraining; the first are slower
 READS = 300
 
 
@@ -58,7 +59,7 @@ def main() -> None:
 def measure(scratch: Path) -> dict:
     """Return all figures."""
     demo, small, seed = scratch / "demo", scratch / "small", 0
-    recipes = {demo: ("demo", "120"), small: ("drawer-open", "20")}
+    recipes = {demo: ("demo", "60"), small: ("drawer-open", "20")}
     for folder, (recipe, episodes) in recipes.items():
         keys = ["--config", f"datasets/{recipe}.yaml", "--out", str(folder), "--episodes", episodes]
         assert cli.main(["gen-dataset", *keys, "--seed", str(seed)]) == 0
@@ -146,7 +147,7 @@ def enlarge(template: Path, folder: Path, gigabytes: int) -> None:
                     else:
                         file[name] = array[:]
             entries.append({"file": f"{SHARDS}/{path.name}", "frames": frames, "sha256": f"{shard:064x}"})
-    write_json(folder / MANIFEST, {**manifest, "frames": count * frames, "shards": entries})
+    write_sealed(folder / MANIFEST, {**manifest, "frames": count * frames, "shards": entries})
 
 
 def allocate(file: h5py.File, name: str, like: h5py.Dataset) -> None:

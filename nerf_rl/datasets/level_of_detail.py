@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 _TRIANGLES_PER_PIXEL = 0.4  # of the mesh's bounding sphere; back faces and detail inside the outline included
-_FEWEST_TRIANGLES_PER_ROW = 12.0  # of the image: thin and dented outlines need more than their area says
+_FEWEST_TRIANGLES_PER_ROW = 11.0  # of the image: thin and dented outlines need more than their area says
 _PLANE_CELLS = 10  # along the shorter side; light is computed at their corners
 _SLICES_PER_ROOT_ROW = 1.8  # of round shapes, around their axis, half as many along it: 20 for 128 rows, as the
 # error of a circle that fills the image is half a pixel then

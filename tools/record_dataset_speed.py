@@ -1,0 +1,66 @@
+"""Write the tables of datasets/README.md from the results of bench_render.py and bench_reading.py.
+
+Run from a checkout's root:
+
+    .venv/bin/python tools/record_dataset_speed.py
+"""
+
+from pathlib import Path
+
+from record_demo import markdown_table, replace_tables
+
+from nerf_rl.runs import read_json, write_text
+
+RESULTS, README = Path("datasets/results"), Path("datasets/README.md")
+
+
+def main() -> None:
+    """Rewrite the tables between markers."""
+    tables = {
+        "render": render_table(read_json(RESULTS / "render.json")),
+        "reading": reading_table(read_json(RESULTS / "reading.json")),
+    }
+    write_text(README, replace_tables(README.read_text(), tables))
+
+
+def render_table(result: dict) -> str:
+    """Return a row for each way to render."""
+    times = result["milliseconds_per_view"]
+    shows = f"mask IoU {result['mask_iou']:.3f} and {result['rgb_psnr_db']:.1f} dB against full meshes"
+    rows = [
+        ("MuJoCo's renderer", f"{times['stock']:.1f}", "1", ""),
+        ("ours, full meshes without shadows", f"{times['plain']:.1f}", f"{result['ratio_full_mesh']:.1f}", ""),
+        ("ours, `fast`", f"{times['fast']:.1f}", f"{result['ratio']:.1f}", shows),
+    ]
+    return markdown_table(["way", "ms a view", "times as fast", "what it shows"], rows)
+
+
+def reading_table(result: dict) -> str:
+    """Return a row for each figure."""
+    loader, sizes, playback = result["loader"], result["by_apparent_size"], result["playback"]
+    views, height, width = playback["views_height_width"]
+    rows = [
+        (
+            "reading within a step of `make demo`'s pretraining",
+            f"{loader['reading_ms']:.1f} of {loader['step_ms']:.0f} ms ({loader['reading_share_of_step']:.1%}); "
+            f"with drawing rays {loader['batch_share_of_step']:.1%}",
+        ),
+        *(
+            (
+                f"a dataset of {size} in {figures['shards']:,} shards",
+                f"opens in {figures['open_ms']:.0f} ms, a frame at random takes {figures['random_frame_ms']:.2f} ms, "
+                f"{figures['memory_after_all_shards_mb']:.0f} MB of memory; "
+                f"`nerf-rl view` serves it after {figures['view_seconds']['all']:.1f} s",
+            )
+            for size, figures in sizes.items()
+        ),
+        (
+            f"what the viewer shows of a frame, {views} views of {height} x {width}",
+            f"{playback['frames_per_second']:.0f} frames/s",
+        ),
+    ]
+    return markdown_table(["what", "figure"], rows)
+
+
+if __name__ == "__main__":
+    main()
