@@ -131,3 +131,15 @@ def test_a_nearer_camera_gets_more_triangles():
     model = compiled(sphere(24))
     counts = [int(simplify_meshes(model, 32, detail).mesh_facenum[0]) for detail in (500.0, 800.0, 1200.0)]
     assert counts == sorted(set(counts))
+
+
+def test_spheres_that_are_drawn_keep_their_divisions_and_cylinders_alone_do_not():
+    divisions = []
+    for other in ('type="cylinder" size="1 1"', 'type="sphere" size="1" group="4"', 'type="sphere" size="1"'):
+        geoms = f'<geom type="cylinder" size="1 1"/><geom {other}/>'
+        model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
+        quality = simplify_meshes(model, 64, DETAIL * 64).vis.quality
+        divisions.append((quality.numslices, quality.numstacks))
+    stock = (model.vis.quality.numslices, model.vis.quality.numstacks)
+    assert divisions[2] == stock
+    assert divisions[0] == divisions[1] < stock

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-_DRAWN_GROUPS = 3  # MuJoCo draws geoms of groups 0, 1 and 2
+DRAWN_GROUPS = 3  # MuJoCo draws geoms of groups 0, 1 and 2
 _ZERO = 1e-9
 _SLACK = 1.02  # of the boxes: simplified meshes may stand out of the original's box a little
 
@@ -33,7 +33,7 @@ class FrustumCulling:
         cone passes through its apex.
         """
         model = self._model
-        result = np.broadcast_to(model.geom_group >= _DRAWN_GROUPS, (len(intrinsics), model.ngeom)).copy()
+        result = np.broadcast_to(model.geom_group >= DRAWN_GROUPS, (len(intrinsics), model.ngeom)).copy()
         tested = np.flatnonzero((model.geom_rbound > 0) & ~result[0])  # planes have no bounds and are always drawn
         half = _SLACK * model.geom_aabb[tested, 3:]
         world_from_box = data.geom_xmat[tested].reshape(-1, 3, 3)

@@ -12,11 +12,15 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from nerf_rl.datasets.culling import DRAWN_GROUPS
+
 _TRIANGLES_PER_PIXEL = 0.4  # of the mesh's bounding sphere; back faces and detail inside the outline included
 _FEWEST_TRIANGLES_PER_ROW = 11.0  # of the image: thin and dented outlines need more than their area says
 _PLANE_CELLS = 10  # along the shorter side; light is computed at their corners
-_SLICES_PER_ROOT_ROW = 1.8  # of round shapes, around their axis, half as many along it: 20 for 128 rows, as the
-# error of a circle that fills the image is half a pixel then
+_SLICES_PER_ROOT_ROW = 1.8  # of cylinders: 20 for 128 rows, as the error of a circle that fills the image is half a
+# pixel then
+_STACKS = 4  # of cylinders along their axis, which changes nothing but where light is computed
+_SPHERICAL = (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_ELLIPSOID)
 _AGGRESSIVENESS = 2.0  # of fast_simplification; its default of 7 is faster and leaves slivers with wrong normals
 _CREASE_COSINE = np.cos(np.deg2rad(40.0))
 
@@ -29,16 +33,19 @@ def simplify_meshes(model: mujoco.MjModel, height: int, detail: float) -> mujoco
         height: of an image [pixels].
         detail: pixels that a metre takes in an image where a camera is nearest to what it shows.
 
-    Textured meshes are kept, since simplification would tear their texture coordinates. Planes and round shapes are
-    divided less: MuJoCo cuts each into a thousand triangles and more, whatever its size.
+    Textured meshes are kept, since simplification would tear their texture coordinates. Planes are divided less, and so
+    are cylinders where nothing is spherical: MuJoCo cuts each into a thousand triangles and more, whatever its size.
+    Spheres stay as they are, because their depth would suffer.
     """
     simplified = copy.deepcopy(model)
     planes = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
     spacing = simplified.geom_size[:, 2]
     spacing[planes] = np.maximum(spacing[planes], 2 * model.geom_size[planes, :2].min(1) / _PLANE_CELLS)
     quality = simplified.vis.quality
-    slices = round(_SLICES_PER_ROOT_ROW * height**0.5)
-    quality.numslices, quality.numstacks = min(quality.numslices, slices), min(quality.numstacks, slices // 2)
+    drawn = (model.geom_group < DRAWN_GROUPS) & (model.geom_rgba[:, 3] > 0)
+    if not np.isin(model.geom_type[drawn], _SPHERICAL).any():  # the divisions are the same for all shapes of a model
+        quality.numslices = min(quality.numslices, round(_SLICES_PER_ROOT_ROW * height**0.5))
+        quality.numstacks = min(quality.numstacks, _STACKS)
     for mesh in range(model.nmesh):
         if model.mesh_texcoordnum[mesh]:
             continue
