@@ -14,7 +14,7 @@ from nerf_rl.pretrain.rendering import render_images
 from nerf_rl.viewer.density_mesh import density_mesh, surface_net
 from nerf_rl.viewer.encoder_view import probe_table
 from nerf_rl.viewer.latents import EncodedDataset, interpolate
-from nerf_rl.viewer.progressive import FreeCamera, render_progressively
+from nerf_rl.viewer.progressive import FreeCamera, Picture, render_progressively
 from nerf_rl.viewer.reconstruction import errors, render_views
 
 
@@ -31,7 +31,7 @@ def frame(encoded: EncodedDataset) -> Frame:
 def test_the_finest_image_is_what_the_plain_renderer_gives(encoded: EncodedDataset, frame: Frame) -> None:
     latent, rig = encoded.latent(frame), encoded.encoder.rig
     camera = FreeCamera(rig.camera_from_world[0], np.deg2rad(45.0), 1.0)
-    images = list(render_progressively(encoded.folded(latent), camera, 12, [24, 48]))
+    images = list(render_progressively(encoded.folded(latent), camera, 12, [Picture(24), Picture(48)]))
     assert [image.rgb.shape for image in images] == [(1, 12, 12, 3), (1, 24, 24, 3), (1, 48, 48, 3)]
     plain = render_images(
         encoded.field, latent, rig.intrinsics[:1], rig.camera_from_world[:1], 24, 24, SamplingConfig()
@@ -43,7 +43,9 @@ def test_the_finest_image_is_what_the_plain_renderer_gives(encoded: EncodedDatas
 def test_a_newer_picture_cancels_the_finer_ones(encoded: EncodedDataset, frame: Frame) -> None:
     camera = FreeCamera(encoded.encoder.rig.camera_from_world[0], 0.8, 1.5)
     seen: list[int] = []
-    for image in render_progressively(encoded.folded(encoded.latent(frame)), camera, 12, [24], lambda: bool(seen)):
+    for image in render_progressively(
+        encoded.folded(encoded.latent(frame)), camera, 12, [Picture(24)], lambda: bool(seen)
+    ):
         seen.append(image.rgb.shape[2])
     assert seen == [12]
 

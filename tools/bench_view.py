@@ -26,8 +26,7 @@ from nerf_rl.runs import git_revision, package_versions, write_json
 
 FLAGS = "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --disable-quic --no-first-run"
 FLAGS += " --disable-background-networking --disable-component-update --disable-sync"
-PANEL = 320  # pixels that the controls take of the window's width
-SIDE = 800
+WINDOW = {"width": 1300, "height": 860}  # of which the panel on the left leaves a square
 REPEATS = 3
 COUNT_CHANGES = """() => {
     window.changes = 0;
@@ -50,7 +49,7 @@ def main() -> None:
         browser = playwright.chromium.launch_persistent_context(
             profile,
             executable_path=executable,
-            viewport={"width": SIDE + PANEL, "height": SIDE},
+            viewport=WINDOW,
             args=FLAGS.split(),
         )
         browser.new_page().goto("about:blank")
@@ -135,10 +134,13 @@ def drag(page: Page) -> dict[str, Any]:
     """Turn the camera by the mouse; return how long the field's pictures took [ms]."""
     taken: list[int] = []
     began, pictures, last = time.monotonic(), 0, ""
-    page.mouse.move(SIDE / 2, SIDE / 2)
+    box = page.locator("canvas[data-engine]").bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] / 3, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
     page.mouse.down()
     for step in range(120):
-        page.mouse.move(SIDE / 2 + 2 * step, SIDE / 2 - step / 2)
+        page.mouse.move(x + step, y - step / 2)
         page.wait_for_timeout(60)
         found = re.search(r"(\d+) pixels in (\d+) ms", page.inner_text("body"))
         if found and found.group() != last:
@@ -147,6 +149,7 @@ def drag(page: Page) -> dict[str, Any]:
     seconds = time.monotonic() - began
     page.mouse.up()
     return {
+        "window": [round(box["width"]), round(box["height"])],
         "ms": taken,
         "median_ms": median(taken),
         "pictures_per_second_seen": round(pictures / seconds, 2),

@@ -13,7 +13,7 @@ from nerf_rl.pretrain.folded_field import FoldedField
 from nerf_rl.viewer.agent import ActedEpisode, Agent
 from nerf_rl.viewer.charts import lines_chart, rasterise
 from nerf_rl.viewer.pictures import caption, magnify, side_by_side, stack
-from nerf_rl.viewer.progressive import FreeCamera, render_progressively
+from nerf_rl.viewer.progressive import FreeCamera, Picture, render_progressively
 from nerf_rl.viewer.scene_panel import field_of_view
 from nerf_rl.viewer.slides import Slide
 
@@ -44,7 +44,7 @@ def decoded_views(
     for i in range(len(rig.names)):
         fovy = field_of_view(rig.intrinsics[i], rig.height)
         camera = FreeCamera(rig.camera_from_world[i], fovy, rig.width / rig.height)
-        images = list(render_progressively(field, camera, max(8, longer // 2), [longer], stale))
+        images = list(render_progressively(field, camera, max(8, longer // 2), [Picture(longer)], stale))
         if len(images) < 2:
             return None
         rows[0].append((255 * images[-1].rgb[0]).round().astype(np.uint8))

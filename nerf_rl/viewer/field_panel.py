@@ -15,11 +15,12 @@ from nerf_rl.pretrain.folded_field import FoldedField
 from nerf_rl.pretrain.rendering import RenderedImages
 from nerf_rl.viewer.density_mesh import density_mesh
 from nerf_rl.viewer.newest import NewestOnly
-from nerf_rl.viewer.progressive import FreeCamera, render_progressively
+from nerf_rl.viewer.progressive import FreeCamera, Picture, render_progressively
 
 FIELD_MODES = ("RGB", "semantic", "depth", "density mesh", "off")
-_COARSE, _MOVING = 32, 128  # pixels on the longer side
-_PATIENCE = 0.4  # a picture that is begun may take so long before a newer one cancels it [s]
+_COARSE = 24  # pixels on the longer side of the first picture
+_MOVING = Picture(128, samples=5)  # while the camera moves
+_PATIENCE = 1.5  # a picture that is begun may take so long before a newer one cancels it [s]
 
 
 class FieldPanel:
@@ -81,19 +82,19 @@ class FieldPanel:
             client.scene.set_background_image(None)
             return
         start = time.monotonic()
-        fine = sorted({_MOVING, max(_MOVING, int(self.finest.value))})
-        for images in render_progressively(
+        fine = [_MOVING, Picture(max(_MOVING.longer, int(self.finest.value)))]
+        pictures = render_progressively(
             field, free_camera(client.camera), _COARSE, fine, lambda: stale() and time.monotonic() - start > _PATIENCE
-        ):
+        )
+        for number, images in enumerate(pictures):
             if client.client_id not in self._workers:
                 return  # its page has been closed meanwhile
-            longer = max(images.depth.shape)
-            if longer > _COARSE or not stale():  # a moving camera is better off with the finer one of the next moment
+            if number > 0 or not stale():  # a moving camera is better off with the finer one of the next moment
                 picture = picture_of(images, mode, self._palette, self._depth_range)
                 client.scene.set_background_image(picture, format="jpeg", jpeg_quality=90, depth=images.depth[0])
-            if longer == _MOVING:
-                self.speed.content = f"{longer} pixels in {1000 * (time.monotonic() - start):.0f} ms"
-            if longer >= _MOVING and stale():
+            if number == 1:
+                self.speed.content = f"{_MOVING.longer} pixels in {1000 * (time.monotonic() - start):.0f} ms"
+            if number >= 1 and stale():
                 return
 
     def _draw_mesh(self, _: None, stale: Callable[[], bool]) -> None:

@@ -5,6 +5,8 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -27,7 +29,6 @@ from nerf_rl.pretrain.volume_rendering import (
 _BINS = 48  # of depth, in which coarse rays remember where they met something
 _COARSE_SAMPLES = 20
 _IMPORTANCE_SAMPLES = 10
-_FINE_SAMPLES = 8
 _OPAQUE = 0.03  # a ray that lets less than this through does without the backdrop
 _RAYS_PER_CHUNK = 2048
 _MOST_THREADS = 8
@@ -68,12 +69,21 @@ class _Rays:
     weights: Float[Tensor, "R S"]
 
 
+class Picture(NamedTuple):
+    """An image to be rendered."""
+
+    longer: int
+    """pixels on the longer side"""
+    samples: int = 8
+    """on each ray"""
+
+
 @torch.inference_mode()
 def render_progressively(
     field: FoldedField,
     camera: FreeCamera,
     coarse: int,
-    fine: list[int],
+    fine: list[Picture],
     stale: Callable[[], bool] = lambda: False,
 ) -> Iterator[RenderedImages]:
     """Yield ever finer images (V = 1), until a newer one is wanted.
@@ -85,59 +95,52 @@ def render_progressively(
         field: of the scene.
         camera: from where.
         coarse: pixels on the longer side of the first image.
-        fine: the same, of the images after it.
+        fine: the images after it.
         stale: tells whether to stop.
     """
     near, far = field.field.bounds.near, field.field.bounds.far
     height, width = camera.shape(coarse)
     device = field.latent.device
-    depths = stratified_samples(near, far, (height * width,), _COARSE_SAMPLES, None, device)
+    origin, directions = camera.rays(height, width)
     spacing = (far - near) / _COARSE_SAMPLES
-    density = _in_chunks(field, camera.rays(height, width), depths, None, stale)
-    if density is None:
-        return
-    # once more, where the first samples found something
-    middles = importance_samples(depths, density.weights[:, :-1], _IMPORTANCE_SAMPLES)
-    both = torch.cat([depths, middles], dim=-1).sort(-1).values
-    rays = _in_chunks(field, camera.rays(height, width), both, None, stale)
+    every = stratified_samples(near, far, (height * width,), _COARSE_SAMPLES, None, device)
+    rays = _in_chunks(lambda part: _render_twice(field, origin, directions[part], every[part]), len(every), stale)
     if rays is None:
         return
     yield _images(field, rays, height, width)
     bins = stratified_samples(near, far, (), _BINS, None, device)
     histogram = _histogram(rays, near, far).reshape(1, height, width, _BINS).permute(0, 3, 1, 2)
     around = F.max_pool2d(histogram, 3, 1, 1)
-    for size in fine:
-        height, width = camera.shape(size)
+    longest = max(spacing, 1.5 * (far - near) / _BINS)
+    for picture in fine:
+        height, width = camera.shape(picture.longer)
+        origin, directions = camera.rays(height, width)
         mass = F.interpolate(around, (height, width), mode="nearest")[0].reshape(_BINS, -1).T
-        depths = importance_samples(bins.expand(len(mass), -1), mass, _FINE_SAMPLES)
-        longest = max(spacing, 1.5 * (far - near) / _BINS)
-        rays = _in_chunks(field, camera.rays(height, width), depths, longest, stale)
+        rays = _in_chunks(
+            partial(_render_where, field, origin, directions, bins, mass, picture.samples, longest), len(mass), stale
+        )
         if rays is None:
             return
         yield _images(field, rays, height, width)
 
 
-def _in_chunks(
-    field: FoldedField,
-    rays: tuple[Tensor, Tensor],
-    depths: Float[Tensor, "R S"],
-    longest: float | None,
-    stale: Callable[[], bool],
-) -> _Rays | None:
-    """Render rays at sorted depths [m]; None if a newer picture was wanted before the end.
+def _in_chunks(render: Callable[[slice], _Rays], count: int, stale: Callable[[], bool]) -> _Rays | None:
+    """Render rays in all threads; None if a newer picture was wanted before the end.
 
     Args:
-        longest: most that a sample may stand for [m of depth]; gaps between samples are known to be empty.
+        render: renders the rays of a slice.
+        count: how many there are.
+        stale: tells whether a newer picture is wanted.
     """
+    size = min(_RAYS_PER_CHUNK, -(-count // (2 * _thread_count())))
 
     def chunk(start: int) -> _Rays | None:
         if stale():
             return None
-        chosen = slice(start, start + _RAYS_PER_CHUNK)
         with torch.inference_mode():  # it holds for a thread
-            return _render(field, rays[0], rays[1][chosen], depths[chosen], longest)
+            return render(slice(start, start + size))
 
-    parts = list(_threads().map(chunk, range(0, len(depths), _RAYS_PER_CHUNK)))
+    parts = list(_threads().map(chunk, range(0, count, size)))
     whole = [part for part in parts if part is not None]
     if len(whole) < len(parts):
         return None
@@ -151,29 +154,90 @@ def _threads() -> ThreadPoolExecutor:
     They need not wait for each other as PyTorch's own threads do at every operation, which takes many times longer
     where a browser wants the same cores.
     """
-    count = min(_MOST_THREADS, len(os.sched_getaffinity(0)))
-    return ThreadPoolExecutor(count, "field", initializer=torch.set_num_threads, initargs=(1,))
+    return ThreadPoolExecutor(_thread_count(), "field", initializer=torch.set_num_threads, initargs=(1,))
 
 
-def _render(
-    field: FoldedField, origin: Tensor, directions: Tensor, depths: Float[Tensor, "R S"], longest: float | None
+def _thread_count() -> int:
+    return min(_MOST_THREADS, len(os.sched_getaffinity(0)))
+
+
+def _render_twice(field: FoldedField, origin: Tensor, directions: Tensor, depths: Float[Tensor, "R S"]) -> _Rays:
+    """Render rays at sorted depths [m], and at some more where the first ones found something."""
+    first = _evaluate(field, origin, directions, depths)
+    weights = _weights(field, directions, depths, first[0], None)
+    more = importance_samples(depths, weights[:, :-1], _IMPORTANCE_SAMPLES)
+    second = _evaluate(field, origin, directions, more)
+    every, order = torch.cat([depths, more], dim=-1).sort(-1)
+    density = torch.cat([first[0], second[0]], dim=1).gather(1, order)
+    features = torch.cat([first[1], second[1]], dim=1)
+    features = features.gather(1, order[..., None].expand(-1, -1, features.shape[-1]))
+    return _composed(field, origin, directions, every, density, features, None)
+
+
+def _render_where(
+    field: FoldedField,
+    origin: Tensor,
+    directions: Float[Tensor, "R 3"],
+    bins: Float[Tensor, "B"],
+    mass: Float[Tensor, "R B"],
+    samples: int,
+    longest: float,
+    part: slice,
 ) -> _Rays:
+    """Render some rays at depths spread over where something was met.
+
+    Args:
+        field: of the scene.
+        origin, directions: of all rays.
+        bins: depths [m].
+        mass: what all rays met there.
+        samples: on each ray.
+        longest: most that a sample may stand for [m of depth]; gaps between samples are known to be empty.
+        part: which rays.
+    """
+    chosen = mass[part]
+    depths = importance_samples(bins.expand(len(chosen), -1), chosen, samples)
+    density, features = _evaluate(field, origin, directions[part], depths)
+    return _composed(field, origin, directions[part], depths, density, features, longest)
+
+
+def _evaluate(
+    field: FoldedField, origin: Tensor, directions: Float[Tensor, "R 3"], depths: Float[Tensor, "R S"]
+) -> tuple[Float[Tensor, "R S"], Float[Tensor, "R S W"]]:
+    density, features = field((origin + depths[..., None] * directions[:, None]).reshape(-1, 3))
+    return density.reshape(depths.shape), features.reshape(*depths.shape, -1)
+
+
+def _weights(
+    field: FoldedField, directions: Tensor, depths: Float[Tensor, "R S"], density: Tensor, longest: float | None
+) -> Float[Tensor, "R S1"]:
+    """Return the samples' shares in their rays, and last that of the backdrop, which takes the rest."""
     far = torch.full_like(depths[:, :1], field.field.bounds.far)
-    points = origin + depths[..., None] * directions[:, None]
-    density, features = field(points.reshape(-1, 3))
-    every = torch.cat([depths, far], dim=-1)
-    spacings = sample_spacings(every, directions)
+    spacings = sample_spacings(torch.cat([depths, far], dim=-1), directions)
     if longest is not None:
         length = longest * directions.norm(dim=-1, keepdim=True)
         spacings[:, :-1] = torch.minimum(spacings[:, :-1], length)
-    densities = torch.cat([density.reshape(depths.shape), torch.ones_like(far)], dim=-1)  # the backdrop takes the rest
-    weights = rendering_weights(densities, spacings)
-    seen = composite(weights[:, :-1], features.reshape(*depths.shape, -1))
+    return rendering_weights(torch.cat([density, torch.ones_like(far)], dim=-1), spacings)
+
+
+def _composed(
+    field: FoldedField,
+    origin: Tensor,
+    directions: Float[Tensor, "R 3"],
+    depths: Float[Tensor, "R S"],
+    density: Float[Tensor, "R S"],
+    features: Float[Tensor, "R S W"],
+    longest: float | None,
+) -> _Rays:
+    """Put samples together, and the backdrop where they let something through."""
+    weights = _weights(field, directions, depths, density, longest)
+    seen = composite(weights[:, :-1], features)
     open_rays = torch.nonzero(weights[:, -1] > _OPAQUE)[:, 0]
     if len(open_rays):
         _, backdrop = field(origin + field.field.bounds.far * directions[open_rays])
         seen[open_rays] += weights[open_rays, -1:] * backdrop
-    return _Rays(seen, every, weights)
+    far = torch.full_like(depths[:, :1], field.field.bounds.far)
+    return _Rays(seen, torch.cat([depths, far], dim=-1), weights)
 
 
 def _histogram(rays: _Rays, near: float, far: float) -> Float[Tensor, "R bins"]:

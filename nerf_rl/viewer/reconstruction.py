@@ -11,7 +11,7 @@ from nerf_rl.images import colour_depth, colour_labels
 from nerf_rl.pretrain.folded_field import FoldedField
 from nerf_rl.pretrain.rendering import RenderedImages
 from nerf_rl.viewer.pictures import camera_strip, heat, side_by_side, stack
-from nerf_rl.viewer.progressive import FreeCamera, render_progressively
+from nerf_rl.viewer.progressive import FreeCamera, Picture, render_progressively
 
 _MOST_COLOUR_ERROR = 0.3  # mean over channels in [0, 1]
 _MOST_DEPTH_ERROR = 0.1  # [m]
@@ -27,7 +27,7 @@ def render_views(
         focal = frame.intrinsics[view, 1, 1]
         camera = FreeCamera(frame.camera_from_world[view], float(2 * np.arctan(height / (2 * focal))), width / height)
         longer = max(height, width)
-        finest = list(render_progressively(field, camera, max(8, longer // 2), [longer], stale))
+        finest = list(render_progressively(field, camera, max(8, longer // 2), [Picture(longer)], stale))
         if len(finest) < 2:
             return None
         rendered.append(finest[-1])
