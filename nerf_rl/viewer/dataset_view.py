@@ -18,6 +18,8 @@ from nerf_rl.viewer.statistics import sample_statistics
 from nerf_rl.viewer.timeline import Timeline
 from nerf_rl.viewer.timeline_panel import TimelinePanel
 
+_SCENE_PAUSE = 0.4  # [s] between two changes of the 3-D scene, which a browser without a GPU takes long to draw
+
 
 class Companion(Protocol):
     """What stands beside the dataset, such as an encoder's field."""
@@ -48,6 +50,7 @@ class DatasetView:
         self.companions: list[Companion] = []
         self._columns: tuple[range, EpisodeColumns] | None = None
         self._worker: NewestOnly[int] = NewestOnly(self._show)
+        self._scene_worker: NewestOnly[Frame] = NewestOnly(lambda frame, _: self.scene.show(frame), _SCENE_PAUSE)
         timeline = Timeline(dataset)
         first = read_frame(dataset, 0)
         gui = server.gui
@@ -88,10 +91,11 @@ class DatasetView:
         """End the threads."""
         self.timeline.close()
         self._worker.close()
+        self._scene_worker.close()
 
     def _show(self, index: int, stale: Callable[[], bool]) -> None:
         frame = read_frame(self.dataset, index)
-        self.scene.show(frame)
+        self._scene_worker.order(frame)
         self.cameras.show(frame)
         frames = self._timeline.frames(frame.episode)
         if self._columns is None or self._columns[0] != frames:

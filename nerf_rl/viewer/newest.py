@@ -1,6 +1,7 @@
 """Work whose newest order is the only one that matters."""
 
 import threading
+import time
 import traceback
 from collections.abc import Callable
 from typing import Generic, TypeVar
@@ -13,10 +14,11 @@ class NewestOnly(Generic[T]):
 
     Args:
         function: takes an argument, and a function that tells whether a newer one has arrived meanwhile.
+        pause: shortest time between two runs [s].
     """
 
-    def __init__(self, function: Callable[[T, Callable[[], bool]], None]):
-        self._function = function
+    def __init__(self, function: Callable[[T, Callable[[], bool]], None], pause: float = 0.0):
+        self._function, self._pause = function, pause
         self._changed = threading.Condition()
         self._waiting: list[T] = []
         self._busy = self._closed = False
@@ -55,7 +57,10 @@ class NewestOnly(Generic[T]):
                 if self._closed:
                     return
                 argument, self._busy = self._waiting.pop(), True
+            begun = time.monotonic()
             try:
                 self._function(argument, self._stale)
             except Exception:  # a picture that fails must not end the viewer
                 traceback.print_exc()
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed, max(0.0, begun + self._pause - time.monotonic()))

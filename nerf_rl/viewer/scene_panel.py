@@ -66,9 +66,11 @@ class ScenePanel:
         if not self._frusta:
             self._add_frusta(frame)
         for view, frustum in enumerate(self._frusta):
-            frustum.wxyz, frustum.position = frustum_pose(frame.camera_from_world[view])
             frustum.image = frame.rgb[view]
-            self._names[view].position = frustum.position
+            wxyz, place = frustum_pose(frame.camera_from_world[view])
+            if not (np.array_equal(wxyz, frustum.wxyz) and np.array_equal(place, frustum.position)):
+                frustum.wxyz, frustum.position = wxyz, place
+                self._names[view].position = place
         self._show_cloud(frame)
         for i, (name, position) in enumerate(frame.points.items()):
             if name not in self._points:
