@@ -1,4 +1,4 @@
-"""Write the tables of datasets/README.md from the results of bench_render.py and bench_reading.py.
+"""Write the tables of datasets/README.md from the results of its benchmarks.
 
 Run from a checkout's root:
 
@@ -19,6 +19,7 @@ def main() -> None:
     tables = {
         "render": render_table(read_json(RESULTS / "render.json")),
         "reading": reading_table(read_json(RESULTS / "reading.json")),
+        "view": view_table(read_json(RESULTS / "view.json")),
     }
     write_text(README, replace_tables(README.read_text(), tables))
 
@@ -57,6 +58,21 @@ def reading_table(result: dict) -> str:
         (
             f"what the viewer shows of a frame, {views} views of {height} x {width}",
             f"{playback['frames_per_second']:.0f} frames/s",
+        ),
+    ]
+    return markdown_table(["what", "figure"], rows)
+
+
+def view_table(result: dict) -> str:
+    """Return a row for each figure of the viewer in a browser."""
+    dragged = result["field_while_dragging"]
+    rows = [
+        ("a dataset's first picture after the command", f"{result['dataset']['first_picture_median_s']:.1f} s"),
+        ("an encoder's", f"{result['encoder']['first_picture_median_s']:.1f} s"),
+        ("a dataset played as fast as it goes", f"{result['scrubbing']['frames_per_second']:.1f} frames/s"),
+        (
+            "the live field while the camera is dragged, 128 pixels on the longer side",
+            f"{dragged['median_ms']:.0f} ms, {dragged['pictures_per_second_seen']:.1f} pictures/s",
         ),
     ]
     return markdown_table(["what", "figure"], rows)
