@@ -156,9 +156,7 @@ def test_a_folder_without_a_manifest_is_no_dataset(tmp_path: Path):
 
 def test_an_unfinished_dataset_can_be_resumed(tmp_path: Path):
     (tmp_path / SHARDS).mkdir()
-    with pytest.raises(
-        MissingFileError, match="it was not finished; finish it with the same command and --resume true"
-    ):
+    with pytest.raises(MissingFileError, match="it is not finished; finish it with the same command and --resume true"):
         read_manifest(tmp_path)
 
 

@@ -11,6 +11,7 @@ from nerf_rl.datasets.manifest import describe, shard_entry, with_shards
 from nerf_rl.datasets.output_record import OutputRecord
 from nerf_rl.datasets.sealed_json import write_sealed
 from nerf_rl.datasets.shard_rendering import RenderedShard, open_studio, shard_episodes
+from nerf_rl.datasets.shards import UNFINISHED
 from nerf_rl.datasets.workers import render_shards
 from nerf_rl.gl import warn_of_software_rendering
 from nerf_rl.progress import Progress
@@ -51,6 +52,7 @@ def generate_dataset(config: GenDatasetConfig) -> None:
         require_space(record.dataset, bytes_missing())
     with disk_full_told(record.dataset, bytes_missing):
         record.prepare(done)
+        write_sealed(record.folder / UNFINISHED, description)
         print(f"writing {total} frames x {len(studio.rig.names)} views to {record.dataset}")
         kept = sum(shard.frames for shard in done.values())
         _render(config, record, done, total)
@@ -58,6 +60,7 @@ def generate_dataset(config: GenDatasetConfig) -> None:
         entries = [shard_entry(shard) for shard in done.values()]
         manifest = with_shards(description, entries, (shard.renderer for shard in done.values()))
         write_sealed(record.manifest, manifest)
+        (record.folder / UNFINISHED).unlink()
         views_per_second = (total - kept) * len(studio.rig.names) / seconds
         summary = {
             "frames": total,

@@ -15,8 +15,8 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from nerf_rl.cameras import projection_matrix
-from nerf_rl.datasets.shards import SPLIT_NAMES, read_manifest
-from nerf_rl.errors import MissingFileError, UnknownNameError
+from nerf_rl.datasets.shards import SPLIT_NAMES, read_manifest, read_unfinished
+from nerf_rl.errors import MissingFileError, UnknownNameError, UserError
 
 _MOST_OPEN_FILES = 128  # a large dataset has more shards than a process may have open files
 _MOST_BYTES = 1 << 26  # of one read
@@ -42,14 +42,15 @@ class MultiViewDataset:
 
     Args:
         folder: of the dataset.
+        unfinished: take what there is of one that is being written: the shards that are whole when it is opened.
 
     Raises:
         MissingFileError: the folder holds no finished dataset, or a shard is missing.
     """
 
-    def __init__(self, folder: Path | str):
+    def __init__(self, folder: Path | str, unfinished: bool = False):
         self.folder = Path(folder)
-        self.manifest: dict[str, Any] = read_manifest(self.folder)
+        self.manifest: dict[str, Any] = (read_unfinished if unfinished else read_manifest)(self.folder)
         self._paths = [self.folder / shard["file"] for shard in self.manifest["shards"]]
         remedy = "make the dataset again with --resume true"
         for path in self._paths:
@@ -61,6 +62,11 @@ class MultiViewDataset:
 
     def __len__(self) -> int:
         return int(self._first[-1])
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether these are all shards that there will be."""
+        return all("sha256" in shard for shard in self.manifest["shards"])
 
     @property
     def class_names(self) -> tuple[str, ...]:
@@ -78,7 +84,13 @@ class MultiViewDataset:
         return tuple(camera["name"] for camera in self.manifest["cameras"])
 
     def digest(self) -> str:
-        """Return a SHA-256 over the digests of all shards, which identifies the content."""
+        """Return a SHA-256 over the digests of all shards, which identifies the content.
+
+        Raises:
+            UserError: the dataset is not finished.
+        """
+        if not self.is_finished:
+            raise UserError(f"{self.folder} is not finished, so nothing identifies its content yet")
         digests = "".join(shard["sha256"] for shard in self.manifest["shards"])
         return hashlib.sha256(digests.encode()).hexdigest()
 

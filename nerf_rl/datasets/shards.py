@@ -22,6 +22,7 @@ from nerf_rl.runs import read_json, rename_durably
 SCHEMA_VERSION = 1
 MANIFEST = "manifest.json"
 SHARDS = "shards"
+UNFINISHED = "unfinished.json"
 PARTS = "parts"
 _PARTIAL = ".partial"
 TRAIN, VALIDATION = 0, 1
@@ -217,7 +218,7 @@ def read_manifest(folder: Path) -> dict:
         if (folder / PARTS).is_dir():
             reason, remedy = "it holds parts of one", f"put them together with: nerf-rl merge {folder}"
         elif (folder / SHARDS).is_dir():
-            reason, remedy = "it was not finished", "finish it with the same command and --resume true"
+            reason, remedy = "it is not finished", "finish it with the same command and --resume true"
         raise MissingFileError("a dataset", folder, reason, remedy)
     try:
         manifest = read_json(path)
@@ -230,3 +231,28 @@ def read_manifest(folder: Path) -> dict:
     if version != SCHEMA_VERSION:
         raise MissingFileError("a dataset for this version", folder, f"its schema version is {version}", remedy)
     return manifest
+
+
+def read_unfinished(folder: Path) -> dict:
+    """Return the manifest of what there is so far of a dataset that is being written, or was cut off.
+
+    It lists the shards that are whole now, without digests. Of a finished dataset it is the manifest.
+
+    Raises:
+        MissingFileError: the folder holds no dataset, or one without a whole shard yet.
+    """
+    descriptions = [folder / UNFINISHED, *sorted(folder.glob(f"{PARTS}/*/{UNFINISHED}"))]
+    description = next((path for path in descriptions if is_whole(path)), None)
+    if (folder / MANIFEST).is_file() or description is None:
+        return read_manifest(folder)
+    content = read_json(description)
+    config = content["config"]
+    entries = []
+    for first in range(0, config["episodes"], config["episodes_per_shard"]):
+        file = shard_file(first // config["episodes_per_shard"])
+        if (folder / file).is_file():
+            episodes = min(config["episodes_per_shard"], config["episodes"] - first)
+            entries.append({"file": file, "frames": episodes * config["frames_per_episode"]})
+    if not entries:
+        raise MissingFileError("a dataset", folder, "it has no whole shard yet", "wait for the first one")
+    return {**content, "frames": sum(entry["frames"] for entry in entries), "shards": entries}

@@ -3,6 +3,7 @@
 from enum import Enum
 from pathlib import Path
 
+from nerf_rl.datasets.shards import UNFINISHED
 from nerf_rl.errors import MissingFileError
 from nerf_rl.pretrain.artefact import DESCRIPTION
 from nerf_rl.rl.artefact import POLICY_DESCRIPTION
@@ -29,6 +30,8 @@ def find_subject(path: Path) -> Subject:
     for kind, mark in _MARKS.items():
         if (folder / mark).is_file() and (path.is_dir() or path.is_file()):
             return Subject(kind)
+    if path.is_dir() and (path / UNFINISHED).is_file():
+        return Subject.DATASET
     if path.suffix == ".ckpt" and path.is_file() and (folder.parent / DESCRIPTION).is_file():
         return Subject.ENCODER
     if not path.exists():

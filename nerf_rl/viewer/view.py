@@ -24,7 +24,7 @@ def view(config: ViewConfig) -> None:
         if path.exists() and not config.overwrite:
             raise OutputExistsError(path, "use --overwrite true or another name")
     if subject is Subject.DATASET:
-        (save_dataset if config.files else serve_dataset)(config, MultiViewDataset(config.path))
+        (save_dataset if config.files else serve_dataset)(config, _open(config.path))
     elif subject is Subject.ENCODER:
         dataset, folder = dataset_of_encoder(config)
         _prepare_torch(config.threads)
@@ -33,6 +33,14 @@ def view(config: ViewConfig) -> None:
         check_policy(Path(config.path), config.encoder)
         _prepare_torch(config.threads)
         (save_agent if config.files else serve_agent)(config)
+
+
+def _open(path: str) -> MultiViewDataset:
+    """Open a dataset, or what there is so far of one that is being written."""
+    dataset = MultiViewDataset(path, unfinished=True)
+    if not dataset.is_finished:
+        print(f"{path} is not finished: this is what its {len(dataset.manifest['shards'])} whole shards hold")
+    return dataset
 
 
 def _prepare_torch(threads: int) -> None:
