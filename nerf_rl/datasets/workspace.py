@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-_DRAWN_GROUPS = 3  # MuJoCo draws geom groups 0, 1 and 2 unless told otherwise
+from nerf_rl.datasets.culling import DRAWN_GROUPS
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Workspace:
 
 def is_drawn(model: mujoco.MjModel, geom: int) -> bool:
     """Tell whether a geom can be seen."""
-    return bool(model.geom_group[geom] < _DRAWN_GROUPS and model.geom_rgba[geom, 3] > 0)
+    return bool(model.geom_group[geom] < DRAWN_GROUPS and model.geom_rgba[geom, 3] > 0)
 
 
 def fit_workspace(model: mujoco.MjModel, data: mujoco.MjData) -> Workspace:
