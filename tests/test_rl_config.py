@@ -16,6 +16,8 @@ ROOT = Path(__file__).parent.parent
     [
         (["--env_steps", "0"], "--env_steps must be at least 1, got 0"),
         (["--warmup_steps", "60000"], "--warmup_steps 60000 leaves nothing of --env_steps 50000 to learn in"),
+        (["--learning_starts", "-1"], "--learning_starts must not be negative, got -1"),
+        (["--algo", "sb3-ddpg", "--learning_starts", "9"], "leave out --learning_starts"),
         (["--episode_steps", "1"], "--episode_steps 1 is less than --action_repeat 2"),
         (["--learner.gamma", "1.5"], "--learner.gamma must be in [0, 1], got 1.5"),
         (["--learner.tau", "0"], "--learner.tau must be in (0, 1], got 0.0"),

@@ -53,6 +53,16 @@ def test_it_solves_a_tiny_task(envs: AsyncVectorEnv, tmp_path: Path) -> None:
     assert [row.split(",")[0] for row in rows[1:]] == ["1000", "2000", "2500"]
 
 
+@pytest.mark.parametrize(("learning_starts", "updates"), [(None, 24), (80, 34), (140, 4)])
+def test_updates_begin_where_they_are_told_to(
+    envs: AsyncVectorEnv, tmp_path: Path, learning_starts: int | None, updates: int
+) -> None:
+    trainer = Trainer(config(tmp_path, learning_starts=learning_starts), envs, tmp_path)
+    train(trainer, 148)
+    trainer.replay.close()
+    assert trainer.agent.updates == updates
+
+
 def test_a_resumed_run_ends_bit_for_bit_like_an_uninterrupted_one(envs: AsyncVectorEnv, tmp_path: Path) -> None:
     def finish(trainer: Trainer, from_step: int) -> dict[str, torch.Tensor]:
         if from_step == 0:

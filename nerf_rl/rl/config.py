@@ -182,7 +182,9 @@ class TrainRLConfig:
     envs: int = 2
     """environments, each in a process of its own"""
     warmup_steps: int = 2_000
-    """environment steps of random actions before learning starts"""
+    """environment steps of random actions at the beginning"""
+    learning_starts: int | None = None
+    """environment steps before the first update; by default as many as warmup_steps"""
     network: NetworkConfig = field(default_factory=NetworkConfig)
     """actor and critic"""
     learner: LearnerConfig = field(default_factory=LearnerConfig)
@@ -223,13 +225,15 @@ class TrainRLConfig:
         for name in f"{counts} final_evaluation_episodes checkpoint_every log_every threads".split():
             if getattr(self, name) < 1:
                 raise UserError(f"--{name} must be at least 1, got {getattr(self, name)}")
-        for name in ("episodes", "warmup_steps", "seed"):
-            if getattr(self, name) < 0:
+        for name in ("episodes", "warmup_steps", "learning_starts", "seed"):
+            if (getattr(self, name) or 0) < 0:
                 raise UserError(f"--{name} must not be negative, got {getattr(self, name)}")
         if self.warmup_steps >= self.env_steps:
             raise UserError(
                 f"--warmup_steps {self.warmup_steps} leaves nothing of --env_steps {self.env_steps} to learn in"
             )
+        if self.algo == "sb3-ddpg" and self.learning_starts not in (None, self.warmup_steps):
+            raise UserError("--algo sb3-ddpg learns from the end of --warmup_steps on; leave out --learning_starts")
         if self.algo == "sb3-ddpg" and self.noise.kind == "pink":
             raise UserError("--algo sb3-ddpg has no pink noise; use --noise.kind gaussian or ou")
         if self.episode_steps < self.action_repeat:

@@ -213,7 +213,8 @@ class Trainer:
     def _learn(self) -> None:
         """Do the updates that the steps so far are worth."""
         config = self._config
-        if self.env_steps < config.warmup_steps or len(self.replay) < config.learner.batch_size:
+        starts = config.warmup_steps if config.learning_starts is None else config.learning_starts
+        if self.env_steps < starts or len(self.replay) < config.learner.batch_size:
             return
         self._credit += config.learner.updates_per_step * self._envs.num_envs
         while self._credit >= 1.0:

@@ -10,6 +10,7 @@ import gymnasium
 import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecNormalize
 
 from nerf_rl.progress import Progress
@@ -42,6 +43,7 @@ class BaselineTrainer(BaseCallback):
         self._config, self._evaluation_envs = config, evaluation_envs
         self._envs = _make_envs(config, spec)
         self._sb3 = make_model(config, self._envs)
+        self._sb3.set_logger(Logger(None, []))  # its own would leave a folder in the temporary one for each run
         self._metrics = MetricsLog(run / "metrics.csv")
         self._returns, self._length = np.zeros(config.envs), np.zeros(config.envs, np.int64)
         self._success = np.zeros(config.envs, np.bool_)
