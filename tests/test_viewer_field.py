@@ -13,6 +13,7 @@ from nerf_rl.pretrain.linear_probe import encode_frames
 from nerf_rl.pretrain.rendering import render_images
 from nerf_rl.viewer.density_mesh import density_mesh, surface_net
 from nerf_rl.viewer.encoder_view import probe_table
+from nerf_rl.viewer.field_panel import Pace
 from nerf_rl.viewer.latents import EncodedDataset, interpolate
 from nerf_rl.viewer.progressive import FreeCamera, Picture, render_progressively
 from nerf_rl.viewer.reconstruction import errors, render_views
@@ -48,6 +49,19 @@ def test_a_newer_picture_cancels_the_finer_ones(encoded: EncodedDataset, frame: 
     ):
         seen.append(image.rgb.shape[2])
     assert seen == [12]
+
+
+def test_pictures_of_a_moving_camera_get_grainier_where_they_take_long_and_finer_where_they_do_not() -> None:
+    pace = Pace()
+    begun = pace.samples
+    pace.took(Pace.SLOW + 0.01)
+    assert pace.samples == begun - 1
+    pace.took((Pace.QUICK + Pace.SLOW) / 2)
+    assert pace.samples == begun - 1
+    for seconds, limit in ((9.0, Pace.FEWEST), (0.0, Pace.MOST)):
+        for _ in range(20):
+            pace.took(seconds)
+        assert pace.samples == limit
 
 
 def test_a_camera_has_the_rays_of_its_field_of_view() -> None:

@@ -133,7 +133,8 @@ def scrub(page: Page) -> dict[str, Any]:
 def drag(page: Page) -> dict[str, Any]:
     """Turn the camera by the mouse; return how long the field's pictures took [ms]."""
     taken: list[int] = []
-    began, pictures, last = time.monotonic(), 0, ""
+    samples: list[int] = []
+    began, last = time.monotonic(), ""
     box = page.locator("canvas[data-engine]").bounding_box()
     assert box is not None
     x, y = box["x"] + box["width"] / 3, box["y"] + box["height"] / 2
@@ -142,17 +143,19 @@ def drag(page: Page) -> dict[str, Any]:
     for step in range(120):
         page.mouse.move(x + step, y - step / 2)
         page.wait_for_timeout(60)
-        found = re.search(r"(\d+) pixels in (\d+) ms", page.inner_text("body"))
+        found = re.search(r"pixels, (\d+) samples a ray, in (\d+) ms", page.inner_text("body"))
         if found and found.group() != last:
-            last, pictures = found.group(), pictures + 1
+            last = found.group()
+            samples.append(int(found.group(1)))
             taken.append(int(found.group(2)))
     seconds = time.monotonic() - began
     page.mouse.up()
     return {
         "window": [round(box["width"]), round(box["height"])],
         "ms": taken,
+        "samples_a_ray": samples,
         "median_ms": median(taken),
-        "pictures_per_second_seen": round(pictures / seconds, 2),
+        "pictures_per_second_seen": round(len(taken) / seconds, 2),
     }
 
 

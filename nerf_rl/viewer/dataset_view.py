@@ -1,6 +1,7 @@
 """``nerf-rl view DATASET``: the page."""
 
 import threading
+import time
 from collections.abc import Callable
 from typing import Protocol
 
@@ -19,6 +20,8 @@ from nerf_rl.viewer.timeline import Timeline
 from nerf_rl.viewer.timeline_panel import TimelinePanel
 
 _SCENE_PAUSE = 0.4  # [s] between two changes of the 3-D scene, which a browser without a GPU takes long to draw
+
+_STATISTICS_PAUSE = 2.0  # [s] for the first pictures to arrive before anything else is worked out
 
 
 class Companion(Protocol):
@@ -49,6 +52,8 @@ class DatasetView:
         self.server, self.dataset = server, dataset
         self.companions: list[Companion] = []
         self._columns: tuple[range, EpisodeColumns] | None = None
+        self._connected = threading.Event()
+        server.on_client_connect(lambda _: self._connected.set())
         self._worker: NewestOnly[int] = NewestOnly(self._show)
         self._scene_worker: NewestOnly[Frame] = NewestOnly(lambda frame, _: self.scene.show(frame), _SCENE_PAUSE)
         timeline = Timeline(dataset)
@@ -78,9 +83,11 @@ class DatasetView:
         self._worker.order(self.timeline.index)
 
     def gather_statistics(self) -> None:
-        """Draw the dataset's statistics, in a thread of their own."""
+        """Draw the dataset's statistics once a page has its first pictures, in a thread of their own."""
 
         def gather() -> None:
+            self._connected.wait()
+            time.sleep(_STATISTICS_PAUSE)
             chart = statistics_chart(sample_statistics(self.dataset), self.dataset.palette)
             with self.statistics_tab:
                 self.server.gui.add_image(chart, format="png")

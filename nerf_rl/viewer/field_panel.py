@@ -19,8 +19,30 @@ from nerf_rl.viewer.progressive import FreeCamera, Picture, render_progressively
 
 FIELD_MODES = ("RGB", "semantic", "depth", "density mesh", "off")
 _COARSE = 24  # pixels on the longer side of the first picture
-_MOVING = Picture(128, samples=5)  # while the camera moves
-_PATIENCE = 1.5  # a picture that is begun may take so long before a newer one cancels it [s]
+_MOVING = 128  # pixels on the longer side while the camera moves
+_PATIENCE = 1.5  # the moving camera's picture may take so long before a newer one cancels it [s]
+
+
+class Pace:
+    """Chooses how many samples a ray gets while the camera moves: as many as keep the pictures coming.
+
+    A machine that is slow, or busy with drawing the browser's page, gets grainier pictures instead of fewer.
+
+    Attributes:
+        samples: on each ray of the next picture.
+    """
+
+    FEWEST, MOST = 2, 6
+    QUICK, SLOW = 0.2, 0.35
+    """a picture that took less or more than so long asks for another number of samples [s]"""
+
+    def __init__(self) -> None:
+        self.samples = 4
+
+    def took(self, seconds: float) -> None:
+        """Learn how long a picture took."""
+        change = int(seconds < self.QUICK) - int(seconds > self.SLOW)
+        self.samples = min(max(self.samples + change, self.FEWEST), self.MOST)
 
 
 class FieldPanel:
@@ -66,7 +88,8 @@ class FieldPanel:
             worker.close()
 
     def _welcome(self, client: viser.ClientHandle) -> None:
-        worker: NewestOnly[None] = NewestOnly(lambda _, stale: self._render(client, stale))
+        pace = Pace()
+        worker: NewestOnly[None] = NewestOnly(lambda _, stale: self._render(client, pace, stale))
         self._workers[client.client_id] = worker
         client.camera.on_update(lambda _: worker.order(None))
         worker.order(None)
@@ -76,24 +99,30 @@ class FieldPanel:
         if worker is not None:
             worker.close()
 
-    def _render(self, client: viser.ClientHandle, stale: Callable[[], bool]) -> None:
+    def _render(self, client: viser.ClientHandle, pace: Pace, stale: Callable[[], bool]) -> None:
         mode, field = self.mode.value, self._field
         if field is None or mode in ("off", "density mesh"):
             client.scene.set_background_image(None)
             return
-        start = time.monotonic()
-        fine = [_MOVING, Picture(max(_MOVING.longer, int(self.finest.value)))]
-        pictures = render_progressively(
-            field, free_camera(client.camera), _COARSE, fine, lambda: stale() and time.monotonic() - start > _PATIENCE
-        )
-        for number, images in enumerate(pictures):
+        start, moving_drawn = time.monotonic(), False
+
+        def cancelled() -> bool:
+            return stale() and (moving_drawn or time.monotonic() - start > _PATIENCE)
+
+        fine = [Picture(_MOVING, pace.samples), Picture(max(_MOVING, int(self.finest.value)))]
+        for number, images in enumerate(
+            render_progressively(field, free_camera(client.camera), _COARSE, fine, cancelled)
+        ):
             if client.client_id not in self._workers:
                 return  # its page has been closed meanwhile
             if number > 0 or not stale():  # a moving camera is better off with the finer one of the next moment
                 picture = picture_of(images, mode, self._palette, self._depth_range)
                 client.scene.set_background_image(picture, format="jpeg", jpeg_quality=90, depth=images.depth[0])
             if number == 1:
-                self.speed.content = f"{_MOVING.longer} pixels in {1000 * (time.monotonic() - start):.0f} ms"
+                seconds = time.monotonic() - start
+                self.speed.content = f"{_MOVING} pixels, {pace.samples} samples a ray, in {1000 * seconds:.0f} ms"
+                pace.took(seconds)
+                moving_drawn = True
             if number >= 1 and stale():
                 return
 
