@@ -18,6 +18,7 @@ def main() -> None:
     """Rewrite the tables between markers."""
     tables = {
         "render": render_table(read_json(RESULTS / "render.json")),
+        "generation": generation_table(read_json(RESULTS / "generation.json")),
         "reading": reading_table(read_json(RESULTS / "reading.json")),
         "view": view_table(read_json(RESULTS / "view.json")),
     }
@@ -34,6 +35,19 @@ def render_table(result: dict) -> str:
         ("ours, `fast`", f"{times['fast']:.1f}", f"{result['ratio']:.1f}", shows),
     ]
     return markdown_table(["way", "ms a view", "times as fast", "what it shows"], rows)
+
+
+def generation_table(result: dict) -> str:
+    """Return the one row of a whole generation."""
+    size, workers = result["keys"]["size"], result["keys"]["workers"]
+    row = (
+        f"{result['frames']:,} x {result['views_per_frame']}, {size} x {size}",
+        f"{workers}",
+        f"{result['seconds']:.0f} s",
+        f"{result['views_per_second']:.0f}",
+        f"{result['worker_peak_rss_mb']:.0f} MB",
+    )
+    return markdown_table(["frames x views", "workers", "time", "views/s", "most memory of a worker"], [row])
 
 
 def reading_table(result: dict) -> str:
