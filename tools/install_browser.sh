@@ -7,19 +7,12 @@ cd "$(dirname "$0")/.."
 
 if ! command -v chromium >/dev/null && ! command -v chromium-browser >/dev/null && ! command -v google-chrome >/dev/null
 then
-    if [ "$(id -u)" -eq 0 ]; then
-        as_root=env
-    elif sudo -n true 2>/dev/null; then
-        as_root="sudo env"
-    else
-        as_root=""
-    fi
-    if [ -z "$as_root" ] || ! command -v apt-get >/dev/null; then
+    . tools/system_packages.sh
+    if ! may_install; then
         echo "test-browser: install this system package first (name as in Debian): chromium" >&2
         exit 1
     fi
     echo "test-browser: installing chromium"
-    $as_root DEBIAN_FRONTEND=noninteractive apt-get -qq update
-    $as_root DEBIAN_FRONTEND=noninteractive apt-get -qq install --yes --no-install-recommends chromium >/dev/null
+    install_packages chromium
 fi
 .venv/bin/python -c "import playwright" 2>/dev/null || .venv/bin/python -m pip install --quiet --editable ".[browser]"

@@ -29,26 +29,20 @@ if ! has_library libusb-1.0.so.0; then
 fi
 [ -n "$packages$optional" ] || exit 0
 
-if [ "$(id -u)" -eq 0 ]; then
-    as_root=env
-elif sudo -n true 2>/dev/null; then
-    as_root="sudo env"
-else
-    as_root=""
-fi
+. "$(dirname "$0")/system_packages.sh"
+
 install() {
     echo "setup: installing system packages:" "$@"
-    $as_root DEBIAN_FRONTEND=noninteractive apt-get -qq update &&
-        $as_root DEBIAN_FRONTEND=noninteractive apt-get -qq install --yes --no-install-recommends "$@" >/dev/null
+    install_packages "$@"
 }
 
 if [ -z "$packages" ]; then
-    if [ -z "$as_root" ] || ! command -v apt-get >/dev/null || ! install $optional; then
+    if ! may_install || ! install $optional; then
         echo "setup: going on without $optional, so 'nerf-rl export --format mesh' will not run"
     fi
     exit 0
 fi
-if [ -z "$as_root" ] || ! command -v apt-get >/dev/null; then
+if ! may_install; then
     echo "setup: install these system packages first (names as in Debian; Python 3.11 to 3.13):" $packages >&2
     exit 1
 fi
