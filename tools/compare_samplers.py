@@ -26,7 +26,6 @@ RECIPE = Path("rl/paper/tune.yaml")
 RUNS = Path("runs/paper/tuning")
 SEARCHES = {
     "whale": ["--sampler", "whale"],
-    "whale, shift-invariant": ["--sampler", "whale", "--whale.mode", "shift_invariant"],
     "TPE": ["--sampler", "tpe"],
     "CMA-ES": ["--sampler", "cmaes"],
     "random": ["--sampler", "random"],
@@ -140,7 +139,7 @@ def table(entries: list[dict[str, Any]]) -> str:
         rows.append(
             [
                 name,
-                f"{max(spent):,}" if spent else "up to 4,500,000",
+                f"{max(spent):,}" if spent else "fewer than 100 iterations",
                 f"{mean(every):.2f} ({stdev(every):.2f})",
                 ", ".join(f"{value:.2f}" for value in returns),
                 f"{success:.1%}",
