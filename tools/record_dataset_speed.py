@@ -85,7 +85,8 @@ def view_table(result: dict) -> str:
         ("an encoder's", f"{result['encoder']['first_picture_median_s']:.1f} s"),
         ("a dataset played as fast as it goes", f"{result['scrubbing']['frames_per_second']:.1f} frames/s"),
         (
-            "the live field while the camera is dragged, 128 pixels on the longer side",
+            "the live field while the camera is dragged, 128 pixels on the longer side, "
+            f"{min(dragged['samples_a_ray'])} to {max(dragged['samples_a_ray'])} samples a ray",
             f"{dragged['median_ms']:.0f} ms, {dragged['pictures_per_second_seen']:.1f} pictures/s",
         ),
     ]

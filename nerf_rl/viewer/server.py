@@ -30,9 +30,8 @@ def serve(host: str, port: int, title: str) -> Iterator[viser.ViserServer]:
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
     server.gui.set_panel_label(title)
     server.scene.set_up_direction("+z")
-    server.scene.configure_default_lights(
-        cast_shadow=False
-    )  # nothing here casts one; browsers without a GPU are spared
+    # a shadow would be worth little here, and costs much in browsers without a GPU
+    server.scene.configure_default_lights(cast_shadow=False)
     try:
         yield server
     finally:
