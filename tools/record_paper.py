@@ -111,7 +111,7 @@ def draw(path: Path, finished: dict[str, list[Run]], experiments: dict[str, dict
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8)
     with written_whole(path) as aside:
-        figure.savefig(aside, format="png", dpi=100)
+        figure.savefig(aside, format="png", dpi=80)
 
 
 def plot(axes: Axes, run: Run, quantity: str, colour: str, title: str | None) -> None:
