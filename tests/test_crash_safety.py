@@ -87,6 +87,7 @@ def test_killed_then_interrupted_a_generation_leaves_no_process_and_resumes_to_t
     os.killpg(process.pid, signal.SIGINT)  # what Ctrl-C does
     _, shown = process.communicate(timeout=60)
     assert process.returncode == 130 and shown.startswith("nerf-rl gen-dataset: interrupted\n")
+    assert shown.count("nerf-rl gen-dataset:") == 1
     assert ends(worker)
     assert partial_files(folder, range(10)) == {}
 
