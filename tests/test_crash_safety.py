@@ -87,7 +87,8 @@ def test_killed_then_interrupted_a_generation_leaves_no_process_and_resumes_to_t
     os.killpg(process.pid, signal.SIGINT)  # what Ctrl-C does
     _, shown = process.communicate(timeout=60)
     assert process.returncode == 130 and shown.startswith("nerf-rl gen-dataset: interrupted\n")
-    assert shown.count("nerf-rl gen-dataset:") == 1
+    # importing glfw starts a process that complains when its parent, a worker that has just begun, is ended meanwhile
+    assert shown.count("nerf-rl") == 1 and "KeyboardInterrupt" not in shown
     assert ends(worker)
     assert partial_files(folder, range(10)) == {}
 

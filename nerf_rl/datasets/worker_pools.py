@@ -14,6 +14,7 @@ from joblib.externals.loky.process_executor import BrokenProcessPool
 from nerf_rl.datasets.watchdog import start_worker
 from nerf_rl.errors import UserError
 from nerf_rl.extras import import_extra
+from nerf_rl.processes import unmoved_by_interrupts
 
 
 class LocalProcesses(LokyBackend):
@@ -26,6 +27,8 @@ class LocalProcesses(LokyBackend):
         self._workers = get_memmapping_executor(
             n_jobs, env=self._prepare_worker_env(n_jobs), initializer=start_worker, context_id=parallel._id
         )
+        with unmoved_by_interrupts():
+            self._workers.submit(int)  # the first task is what starts the processes
         self.parallel = parallel
         return max(n_jobs, 2)  # joblib would take one job as none of its own process
 

@@ -2,8 +2,6 @@
 
 import contextlib
 import multiprocessing
-import signal
-from collections.abc import Iterator
 from multiprocessing.connection import wait as wait_for
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
@@ -11,6 +9,7 @@ from pathlib import Path
 import optuna
 from optuna.trial import FrozenTrial, TrialState
 
+from nerf_rl.processes import unmoved_by_interrupts
 from nerf_rl.progress import Progress
 from nerf_rl.rl.tuning.heartbeat import LOST, LostTrials
 from nerf_rl.rl.tuning.sampler import slot_of
@@ -97,7 +96,7 @@ class _Workers(contextlib.AbstractContextManager):
 
     def _start(self, number: int) -> SpawnProcess:
         process = self._context.Process(target=work, args=(self._task, number), name=f"tune-{number}")
-        with _unmoved_by_interrupts():
+        with unmoved_by_interrupts():
             process.start()
         return process
 
@@ -110,16 +109,6 @@ class _Workers(contextlib.AbstractContextManager):
             process.join()
         storage = open_storage(self._task.storage, Path(self._task.out))
         LostTrials(storage).settle(optuna.load_study(study_name=self._task.study, storage=storage))
-
-
-@contextlib.contextmanager
-def _unmoved_by_interrupts() -> Iterator[None]:
-    """Let a process that is started here ignore Ctrl-C from its first instruction on."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def describe(study: optuna.Study, trial: FrozenTrial) -> str:
