@@ -1,6 +1,7 @@
 """Compare the samplers of `nerf-rl tune` on rl/paper/tune.yaml, and what they find with the paper's values.
 
-Run from a checkout's root; what is finished is skipped. It writes rl/results/tuning.json and the table in rl/README.md:
+Run from a checkout's root; what is finished is skipped. It writes rl/results/tuning.json and tuning.png, and the table
+in rl/README.md:
 
     .venv/bin/python tools/compare_samplers.py --jobs 2
 
@@ -9,21 +10,26 @@ own whale optimisation found (its Table 2), then train the same agent from new s
 """
 
 import argparse
+import csv
 import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from itertools import accumulate
 from pathlib import Path
 from statistics import mean, stdev
 from typing import Any
 
 import yaml
+from matplotlib.figure import Figure
 from record_demo import markdown_table, replace_tables
 
-from nerf_rl.runs import PROVENANCE, SUMMARY, read_json, write_json, write_text
+from nerf_rl.rl.tuning.results import TRIALS
+from nerf_rl.runs import PROVENANCE, SUMMARY, read_json, write_json, write_text, written_whole
 
 RECIPE = Path("rl/paper/tune.yaml")
 RUNS = Path("runs/paper/tuning")
+RESULTS = Path("rl/results")
 SEARCHES = {
     "whale": ["--sampler", "whale"],
     "TPE": ["--sampler", "tpe"],
@@ -115,6 +121,7 @@ def record(candidates: dict[tuple[str, int], dict[str, Any]]) -> None:
             "values": values,
             "test_returns": [test["mean_return"] for test in tests],
             "test_success": [test["success_rate"] for test in tests],
+            "test_provenance": read_json(test_folder(name, repeat, TEST_SEEDS[0]) / PROVENANCE),
         }
         if name in SEARCHES:
             summary = read_json(folder(name, repeat) / SUMMARY)
@@ -122,9 +129,33 @@ def record(candidates: dict[tuple[str, int], dict[str, Any]]) -> None:
             entry["provenance"] = read_json(folder(name, repeat) / PROVENANCE)
         entries.append(entry)
     content = {"recipe": str(RECIPE), "test_seeds": list(TEST_SEEDS), "test_episodes": TEST_EPISODES}
-    write_json(Path("rl/results/tuning.json"), {**content, "entries": entries})
+    write_json(RESULTS / "tuning.json", {**content, "entries": entries})
+    draw(RESULTS / "tuning.png")
     readme = Path("rl/README.md")
     write_text(readme, replace_tables(readme.read_text(encoding="utf-8"), {"tuning": table(entries)}))
+
+
+def draw(path: Path) -> None:
+    """Draw how far each search was from a return of 0 as it went on; it is never above 0."""
+    figure = Figure(figsize=(7, 4.5), layout="constrained")
+    axes = figure.add_subplot()
+    for index, name in enumerate(SEARCHES):
+        for repeat in REPEATS:
+            steps, best = best_so_far(folder(name, repeat) / TRIALS)
+            label = name if repeat == REPEATS[0] else None
+            axes.step(steps, [-value for value in best], where="post", color=f"C{index}", alpha=0.8, label=label)
+    axes.set(xlabel="environment steps of the search", ylabel="minus the best return so far", yscale="log")
+    axes.legend()
+    with written_whole(path) as aside:
+        figure.savefig(aside, format="png", dpi=100)
+
+
+def best_so_far(trials: Path) -> tuple[list[int], list[float]]:
+    """Return the environment steps spent after each finished trial, and the best fitness by then."""
+    with open(trials, newline="", encoding="utf-8") as file:
+        finished = [row for row in csv.DictReader(file) if row["value"]]
+    steps = accumulate(int(row["env_steps"] or 0) for row in finished)
+    return list(steps), list(accumulate((float(row["value"]) for row in finished), max))
 
 
 def table(entries: list[dict[str, Any]]) -> str:

@@ -47,7 +47,8 @@ def main() -> None:
         groups.setdefault(experiments[name]["group"], []).append(name)
     tables = {}
     for group, names in groups.items():
-        draw(RESULTS / f"paper_{group}.png", {n: finished[n] for n in names}, experiments)
+        if any(len(result["evaluations"]) > 1 for name in names for result in results[name]):
+            draw(RESULTS / f"paper_{group}.png", {n: finished[n] for n in names}, experiments)
         rows = [row(experiments[name], results[name]) for name in names]
         tables[f"paper-{group}"] = markdown_table(HEADER, rows)
     write_text(README, replace_tables(README.read_text(), tables))
