@@ -105,8 +105,7 @@ def draw(path: Path, finished: dict[str, list[Run]], experiments: dict[str, dict
             for number, run in enumerate(runs):
                 title = experiments[name]["title"] if number == 0 else None
                 plot(axes, run, quantity, f"C{index}", title)
-        axes.set(xlabel="training episodes", ylabel=label, xscale="symlog")
-        axes.set_xlim(left=0)
+        axes.set(xlabel="training episodes", ylabel=label, xscale="log")
         if quantity == "critic_loss":
             axes.set_yscale("log")
     handles, labels = figure.axes[0].get_legend_handles_labels()
