@@ -151,11 +151,11 @@ def draw(path: Path) -> None:
 
 
 def best_so_far(trials: Path) -> tuple[list[int], list[float]]:
-    """Return the environment steps spent after each finished trial, and the best fitness by then."""
+    """Return the environment steps spent after each trial, failed ones included, and the best fitness by then."""
     with open(trials, newline="", encoding="utf-8") as file:
-        finished = [row for row in csv.DictReader(file) if row["value"]]
-    steps = accumulate(int(row["env_steps"] or 0) for row in finished)
-    return list(steps), list(accumulate((float(row["value"]) for row in finished), max))
+        rows = list(csv.DictReader(file))
+    steps = accumulate(int(row["env_steps"]) for row in rows)
+    return list(steps), list(accumulate((float(row["value"] or "-inf") for row in rows), max))
 
 
 def table(entries: list[dict[str, Any]]) -> str:

@@ -47,6 +47,7 @@ def main() -> None:
         groups.setdefault(experiments[name]["group"], []).append(name)
     tables = {}
     for group, names in groups.items():
+        # runs that are evaluated once, at their end, have no curves to show
         if any(len(result["evaluations"]) > 1 for name in names for result in results[name]):
             draw(RESULTS / f"paper_{group}.png", {n: finished[n] for n in names}, experiments)
         rows = [row(experiments[name], results[name]) for name in names]
