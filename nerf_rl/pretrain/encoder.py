@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from nerf_rl.pretrain.artefact import DESCRIPTION, WEIGHTS, read_description
 from nerf_rl.pretrain.config import EncoderConfig
 from nerf_rl.pretrain.encoder_rig import EncoderRig
+from nerf_rl.pretrain.precision import in_full_precision
 from nerf_rl.runs import package_versions, write_json
 from nerf_rl.tensor_files import write_tensors
 
@@ -68,7 +69,8 @@ class Encoder(nn.Module):
         size = projections.new_tensor([self.rig.width, self.rig.height, 1.0])
         cameras = (projections / size[:, None]).reshape(batch * views, 12)  # in image widths and heights
         each = self.per_view(torch.cat([seen, cameras.to(seen.dtype)], dim=-1))
-        return self.merged(each.reshape(batch, views, -1).mean(1)).to(projections.dtype)
+        with in_full_precision(each.device):
+            return self.merged(each.to(projections.dtype).reshape(batch, views, -1).mean(1))
 
     def standardise(self, latent: Float[Tensor, "B Z"]) -> Float[Tensor, "B Z"]:
         """Return latents with zero mean and unit deviation over the training data."""

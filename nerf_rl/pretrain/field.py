@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from nerf_rl.pretrain.config import FieldConfig
+from nerf_rl.pretrain.precision import in_full_precision
 from nerf_rl.runs import read_json, write_json
 from nerf_rl.tensor_files import write_tensors
 
@@ -94,16 +95,18 @@ class RadianceField(nn.Module):
         normalised = (points - self.centre) / self.bounds.half_extent
         x = contract(normalised)
         encoded = [x, *self._positional(x)]
-        if self.frame_origins is not None:
-            origins = self.frame_origins(latent).reshape(len(latent), 1, -1, 3)
+        with in_full_precision(latent.device):
+            origins = self.frame_origins(latent).reshape(len(latent), 1, -1, 3) if self.frame_origins else None
+            shifts = {name: layer(latent)[:, None] for name, layer in self.latent_layers.items()}
+        if origins is not None:
             weights = self.octave_weights.repeat(3)
             for frame in (normalised[:, :, None] - origins).clamp(-2.0, 2.0).unbind(2):
                 encoded += [frame, *(weights * wave for wave in self._positional(frame))]
         hidden = torch.cat([*encoded, self.static_features(x)], dim=-1)
         for i, layer in enumerate(self.layers):
             hidden = layer(hidden)
-            if str(i) in self.latent_layers:
-                hidden = hidden + self.latent_layers[str(i)](latent)[:, None]
+            if str(i) in shifts:
+                hidden = hidden + shifts[str(i)].to(hidden.dtype)
             hidden = F.relu(hidden)
         return self.density_scale * F.softplus(self.density_head(hidden)[..., 0].float()), hidden
 

@@ -70,7 +70,6 @@ def fit(config: PretrainConfig, dataset: MultiViewDataset, folder: Path, checkpo
         reload_dataloaders_every_n_epochs=1,
         num_sanity_val_steps=1,
         log_every_n_steps=25,
-        gradient_clip_val=1.0,
         enable_progress_bar=False,
         enable_model_summary=False,
     )

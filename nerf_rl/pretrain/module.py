@@ -23,6 +23,7 @@ from nerf_rl.pretrain.teachers import WIDTHS
 _WARM_UP = 0.03  # share of the schedule in which the learning rate rises
 _PLANE_RATE = 10.0  # of static feature planes, times the learning rate: few rays reach any one cell
 _LAST_RATE = 0.02  # of the peak rate
+_LONGEST_GRADIENT = 1.0
 
 
 class SnerlModule(lightning.LightningModule):
@@ -94,6 +95,20 @@ class SnerlModule(lightning.LightningModule):
         optimiser = torch.optim.Adam(groups, lr=rate, betas=(0.9, 0.99), fused=True)
         schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda _: self.learning_rate_factor())
         return {"optimizer": optimiser, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+
+    def configure_gradient_clipping(
+        self,
+        optimizer: torch.optim.Optimizer,
+        gradient_clip_val: int | float | None = None,
+        gradient_clip_algorithm: str | None = None,
+    ) -> None:
+        """Shorten gradients longer than one.
+
+        Lightning's own clipping refuses a fused optimiser in mixed precision, because such an optimiser undoes the
+        scaling of a float16 loss only after it. Losses in bfloat16 are not scaled, so there is nothing to undo.
+        """
+        parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
+        torch.nn.utils.clip_grad_norm_(parameters, _LONGEST_GRADIENT)
 
     def on_train_batch_start(self, batch: RayBatch, step: int) -> int | None:
         """Count the time; end the run when the budget is spent."""
