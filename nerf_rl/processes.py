@@ -1,8 +1,10 @@
-"""Child processes, and who of them hears Ctrl-C."""
+"""Child processes: who of them hears Ctrl-C, and that none outlives the process that started it."""
 
 import contextlib
+import os
 import signal
 import threading
+import time
 from collections.abc import Iterator
 
 
@@ -21,3 +23,14 @@ def unmoved_by_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def end_with_parent() -> None:
+    """End this process soon after the one that started it has gone, however it went."""
+    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+
+
+def _end_with(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(0.5)
+    os._exit(1)

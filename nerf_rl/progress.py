@@ -2,6 +2,7 @@
 
 import sys
 import time
+from collections.abc import Callable
 from types import TracebackType
 
 from tqdm import tqdm
@@ -25,12 +26,15 @@ class Progress:
             tqdm(total=total, initial=done, unit=f" {unit}", dynamic_ncols=True) if sys.stderr.isatty() else None
         )
 
-    def advance(self, units: int = 1, note: str = "") -> None:
-        """Count ``units`` more and show ``note`` beside the figures."""
+    def advance(self, units: int = 1, note: Callable[[], str] = str) -> None:
+        """Count ``units`` more; where that is shown, what ``note`` returns stands beside it.
+
+        It is called only then: what it says may cost more to find out than a unit of work.
+        """
         self._done += units
         if self._bar is not None:
-            self._bar.set_postfix_str(note, refresh=False)
-            self._bar.update(units)
+            if self._bar.update(units):  # it was drawn, and will be again some tenths of a second later
+                self._bar.set_postfix_str(note(), refresh=False)
             return
         now = time.monotonic()
         if now - self._last_line >= self._pause or self._done >= self._total:
@@ -38,7 +42,7 @@ class Progress:
             rate = (self._done - self._initial) / max(now - self._start, 1e-9)
             remaining = (self._total - self._done) / rate if rate > 0 else float("inf")
             line = f"{self._done}/{self._total} {self._unit}, {rate:.1f}/s, {remaining:.0f} s left"
-            print(f"{line}  {note}".rstrip(), flush=True)
+            print(f"{line}  {note()}".rstrip(), flush=True)
 
     def say(self, line: str) -> None:
         """Print a line without breaking the bar."""

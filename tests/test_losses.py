@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
+from nerf_rl.pretrain.batches import RayBatch
 from nerf_rl.pretrain.config import LossConfig
-from nerf_rl.pretrain.data import RayBatch
 from nerf_rl.pretrain.losses import losses, weighted_sum
 from nerf_rl.pretrain.rendering import RenderedRays
 

@@ -16,12 +16,13 @@ import torch
 
 from nerf_rl import cli
 from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.pretrain.batches import RayBatches
 from nerf_rl.pretrain.config import PretrainConfig
-from nerf_rl.pretrain.data import RayBatches, measure
 from nerf_rl.pretrain.encoder import DESCRIPTION, WEIGHTS, Encoder
 from nerf_rl.pretrain.encoder_rig import EncoderRig
 from nerf_rl.pretrain.field import RadianceField
 from nerf_rl.pretrain.module import SnerlModule
+from nerf_rl.pretrain.statistics import measure
 
 STEPS = 6
 

@@ -95,11 +95,15 @@ def rays() -> tuple[Tensor, Tensor, Tensor]:
     return tensors[0], tensors[1], tensors[2]
 
 
+def noise(seed: int) -> rendering.SampleNoise:
+    generator = torch.Generator().manual_seed(seed)
+    return rendering.SampleNoise.draw(SAMPLING, 2, SIZE * SIZE, generator, torch.device("cpu"))
+
+
 def test_with_known_depth_few_samples_find_the_same_surface():
     origins, directions, depth = rays()
     latent = torch.full((2, 1), RADIUS)
-    generator = torch.Generator().manual_seed(0)
-    rendered = rendering.render_with_depth(SphereField(), latent, origins, directions, depth, SAMPLING, generator)
+    rendered = rendering.render_with_depth(SphereField(), latent, origins, directions, depth, SAMPLING, noise(0))
     assert rendered.depths.shape[-1] == 4 + SAMPLING.training_approach + 16 + 1
     assert (rendered.depths.diff(dim=-1) >= 0).all() and (rendered.depths[..., -1] == 2.0).all()
     torch.testing.assert_close(rendered.weights.sum(-1), torch.ones_like(depth))
@@ -116,13 +120,14 @@ def test_each_scene_is_rendered_from_its_own_latent():
     assert int(found[0]) > 100 and int(found[1]) == 0
 
 
-def test_samples_that_are_drawn_depend_on_the_generator_alone():
+def test_samples_that_are_drawn_depend_on_the_generator_alone_and_divide_by_scenes():
     origins, directions, depth = rays()
     latent = torch.full((2, 1), RADIUS)
-    drawn = []
-    for seed in (0, 0, 1):
+
+    def drawn(seed: int, share: slice = slice(None)) -> Tensor:
         torch.rand(3)
-        generator = torch.Generator().manual_seed(seed)
-        field = SphereField()
-        drawn.append(rendering.render_with_depth(field, latent, origins, directions, depth, SAMPLING, generator).depths)
-    assert torch.equal(drawn[0], drawn[1]) and not torch.equal(drawn[0], drawn[2])
+        part, own = (origins[share], directions[share], depth[share]), noise(seed).of_scenes(share)
+        return rendering.render_with_depth(SphereField(), latent[share], *part, SAMPLING, own).depths
+
+    assert torch.equal(drawn(0), drawn(0)) and not torch.equal(drawn(0), drawn(1))
+    assert torch.equal(torch.cat([drawn(0, slice(0, 1)), drawn(0, slice(1, 2))]), drawn(0))

@@ -9,6 +9,7 @@ import torch
 from nerf_rl.pretrain.volume_rendering import (
     approach_samples,
     composite,
+    even_samples,
     importance_samples,
     rendering_weights,
     sample_spacings,
@@ -81,7 +82,7 @@ def test_spacings_are_distances_along_the_ray():
 
 def test_stratified_samples_have_one_in_each_bin():
     generator = torch.Generator().manual_seed(1)
-    samples = stratified_samples(0.5, 2.5, (50, 4), 8, generator, CPU)
+    samples = stratified_samples(0.5, 2.5, torch.rand(50, 4, 8, generator=generator))
     bins = ((samples - 0.5) / 0.25).floor()
     assert (bins == torch.arange(8.0)).all()
     within = (samples - 0.5) / 0.25 - bins
@@ -90,14 +91,14 @@ def test_stratified_samples_have_one_in_each_bin():
     )
 
 
-def test_stratified_samples_without_a_generator_are_the_centres_of_bins():
-    samples = stratified_samples(1.0, 3.0, (2,), 4, None, CPU)
+def test_even_samples_are_the_centres_of_bins():
+    samples = even_samples(1.0, 3.0, (2,), 4, CPU)
     torch.testing.assert_close(samples, torch.tensor([1.25, 1.75, 2.25, 2.75]).expand(2, 4))
 
 
 def test_surface_samples_are_normal_around_the_surface_and_stay_within_bounds():
     generator = torch.Generator().manual_seed(2)
-    samples = surface_samples(torch.tensor([1.0, 0.5, 2.0]), 0.02, 0.5, 2.0, 4000, generator)
+    samples = surface_samples(torch.tensor([1.0, 0.5, 2.0]), 0.02, 0.5, 2.0, torch.randn(3, 4000, generator=generator))
     assert float(samples[0].mean()) == pytest.approx(1.0, abs=0.002)
     assert float(samples[0].std()) == pytest.approx(0.02, abs=0.002)
     assert float(samples.min()) == 0.5 and float(samples.max()) == 2.0
@@ -105,7 +106,7 @@ def test_surface_samples_are_normal_around_the_surface_and_stay_within_bounds():
 
 def test_approach_samples_lie_before_the_surface_and_are_denser_towards_it():
     generator = torch.Generator().manual_seed(5)
-    samples = approach_samples(torch.tensor([1.0, 0.6]), 0.4, 0.5, 4000, generator)
+    samples = approach_samples(torch.tensor([1.0, 0.6]), 0.4, 0.5, torch.rand(2, 4000, generator=generator))
     assert float(samples[0].min()) == pytest.approx(0.6, abs=1e-3) and float(samples[0].max()) <= 1.0
     for quantile in (0.25, 0.5, 0.75):  # of depth - reach u^2, with u uniform
         expected = 1.0 - 0.4 * (1 - quantile) ** 2

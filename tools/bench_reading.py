@@ -91,7 +91,7 @@ def run_here(*arguments: str) -> dict:
 
 def training_cost(data: Path, out: Path) -> dict:
     """Pretrain for a few steps as `make demo` does; return what a step, its batch and the reading in it take [ms]."""
-    from nerf_rl.pretrain.data import RayBatches
+    from nerf_rl.pretrain.batches import RayBatches
 
     reading, batches, starts = [0.0], [], []
     read, make = MultiViewDataset.read, RayBatches.__getitem__

@@ -14,6 +14,7 @@ from pathlib import Path
 import cv2
 
 from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.pretrain.figures import describe_iou, describe_validation
 from nerf_rl.rl.records import draw_learning_curve
 from nerf_rl.runs import PROVENANCE, SUMMARY, read_json, write_json, write_text
 from nerf_rl.tools.contact_sheet import contact_sheet
@@ -89,8 +90,7 @@ def demo_table(results: dict, setup_seconds: float, total_seconds: float) -> str
         (
             "encoder",
             f"{encoder['steps']:,} steps in {encoder['seconds']:.0f} s, {encoder['peak_rss_mb']:.0f} MB: "
-            f"held-out PSNR {figures['psnr_db']:.1f} dB, mIoU {figures['miou']:.2f}, "
-            f"depth error {100 * figures['depth_mae_m']:.1f} cm",
+            f"held-out {describe_validation(figures)}",
         ),
         ("linear probe, RMSE", probe),
         (
@@ -111,7 +111,7 @@ def pretrain_table(summary: dict) -> str:
         (name, f"{figure['rmse_mm']:.1f}", f"{figure['r2']:.3f}", f"{untrained[name]['rmse_mm']:.1f}")
         for name, figure in summary["probe"].items()
     ]
-    classes = [(name, f"{iou:.2f}") for name, iou in summary["class_iou"].items()]
+    classes = [(name, describe_iou(iou)) for name, iou in summary["class_iou"].items()]
     header = ["state", "RMSE [mm]", "R2", "untrained encoder, RMSE [mm]"]
     return f"{markdown_table(header, probes)}\n\n{markdown_table(['class', 'IoU'], classes)}"
 

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from nerf_rl.datasets.shards import partial_files
 from nerf_rl.gl import use_one_software_thread
+from nerf_rl.processes import end_with_parent
 
 _SECONDS_BETWEEN_BEATS = 1.0
 _PATIENCE = 1.25  # the command waits longer than the process's own alarm, which shows where it hung
@@ -26,13 +27,7 @@ def start_worker() -> None:
     """Prepare a process of this machine: it uses one core, leaves Ctrl-C to its parent, and ends with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     use_one_software_thread()
-    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
-
-
-def _end_with(parent: int) -> None:
-    while os.getppid() == parent:
-        time.sleep(0.5)
-    os._exit(1)
+    end_with_parent()
 
 
 @contextlib.contextmanager

@@ -8,6 +8,10 @@ from nerf_rl.errors import UnknownNameError, UserError
 
 TEACHERS = ("depth", "normals")
 PRECISIONS = ("auto", "32", "bf16")
+ACCELERATORS = ("auto", "cpu", "gpu")
+STRATEGIES = ("auto", "ddp")
+_HOW_NOT_WHAT = "data out resume overwrite threads loader_workers steps max_minutes accelerator devices nodes strategy"
+_HOW_NOT_WHAT += " log_every"
 
 
 @dataclass
@@ -141,11 +145,21 @@ class PretrainConfig:
     probe_frames: int = 4000
     """training frames that linear probes are fitted on"""
     precision: str = "auto"
-    """auto (bf16 where the processor computes in it), 32 or bf16"""
-    loader_workers: int = 0
-    """processes that prepare batches; 0 prepares them in the training process"""
+    """auto (whichever was measured to train better on such a device), 32 or bf16"""
+    accelerator: str = "auto"
+    """cpu, gpu, or auto (a GPU if there is one), as Lightning calls them"""
+    devices: int = 1
+    """devices of each node that share every step, each with a process of its own"""
+    nodes: int = 1
+    """machines; several need torchrun or srun to start the processes"""
+    strategy: str = "auto"
+    """how several devices train together: auto or ddp (distributed data parallel)"""
+    loader_workers: int | None = None
+    """processes that prepare batches, of each device; 0: a thread of the training process (null: 0, on a GPU 2)"""
     threads: int | None = None
-    """CPU threads of the training process (PyTorch's own choice if null)"""
+    """CPU threads of a training process (null: PyTorch's own choice, divided by the devices of a node)"""
+    log_every: int = 25
+    """steps between two rows of the logs"""
     seed: int = 0
     """seed of everything random"""
     resume: bool = False
@@ -157,12 +171,21 @@ class PretrainConfig:
         for teacher in self.teachers:
             if teacher not in TEACHERS:
                 raise UnknownNameError("teacher", teacher, TEACHERS)
-        if self.precision not in PRECISIONS:
-            raise UnknownNameError("precision", self.precision, PRECISIONS)
-        positive = ("scenes_per_step", "rays_per_scene", "steps", "steps_per_epoch", "epochs_per_validation")
-        for name in (*positive, "validation_frames", "probe_frames"):
+        for name, available in (("precision", PRECISIONS), ("accelerator", ACCELERATORS), ("strategy", STRATEGIES)):
+            if getattr(self, name) not in available:
+                raise UnknownNameError(name, getattr(self, name), available)
+        positive = "scenes_per_step rays_per_scene steps steps_per_epoch epochs_per_validation validation_frames"
+        for name in f"{positive} probe_frames devices nodes log_every".split():
             if getattr(self, name) < 1:
                 raise UserError(f"--{name} must be at least 1, got {getattr(self, name)}")
+        for name, least in (("threads", 1), ("loader_workers", 0)):
+            if (value := getattr(self, name)) is not None and value < least:
+                raise UserError(f"--{name} must be at least {least}, got {value}")
+        if self.scenes_per_step % self.processes:
+            raise UserError(
+                f"--scenes_per_step {self.scenes_per_step} cannot be shared evenly by {self.processes} processes "
+                "(--devices times --nodes)"
+            )
         if self.learning_rate <= 0:
             raise UserError(f"--learning_rate must be positive, got {self.learning_rate}")
         if not 0 < self.sharp_at <= 1:
@@ -170,10 +193,14 @@ class PretrainConfig:
         if self.max_minutes is not None and self.max_minutes <= 0:
             raise UserError(f"--max_minutes must be positive, got {self.max_minutes}")
 
+    @property
+    def processes(self) -> int:
+        """How many processes share a step."""
+        return self.devices * self.nodes
+
     def content(self) -> dict[str, Any]:
         """Return the keys that must not change when a run is resumed."""
-        free = ("data", "out", "resume", "overwrite", "threads", "loader_workers", "steps", "max_minutes")
-        return {key: value for key, value in dataclasses.asdict(self).items() if key not in free}
+        return {key: value for key, value in dataclasses.asdict(self).items() if key not in _HOW_NOT_WHAT.split()}
 
 
 @dataclass

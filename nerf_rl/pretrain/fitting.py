@@ -15,9 +15,20 @@ from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 
 from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.pretrain.config import PretrainConfig
-from nerf_rl.pretrain.data import MultiViewDataModule
+from nerf_rl.pretrain.data_module import NO_FRAME, MultiViewDataModule
+from nerf_rl.pretrain.distributed import is_lost_connection
+from nerf_rl.pretrain.figures import describe_validation
+from nerf_rl.pretrain.launch import LostProcessError
 from nerf_rl.pretrain.linear_probe import ProbeResult, probe_encoder
 from nerf_rl.pretrain.module import SnerlModule
+from nerf_rl.pretrain.placement import (
+    choose_accelerator,
+    choose_strategy,
+    describe_device,
+    environment,
+    thread_count,
+)
+from nerf_rl.pretrain.precision import lightning_precision, resolve_precision
 from nerf_rl.pretrain.reconstruction import reconstruction_grid
 from nerf_rl.pretrain.train import CHECKPOINT
 from nerf_rl.progress import Progress
@@ -31,29 +42,41 @@ class FitResult:
 
     steps: int
     training_seconds: float
-    validation: dict[str, float]
-    class_iou: dict[str, float]
+    device: str
+    precision: str
+    validation: dict[str, float | None]
+    class_iou: dict[str, float | None]
     probe: ProbeResult
 
 
-def fit(config: PretrainConfig, dataset: MultiViewDataset, folder: Path, checkpoint: Path | None) -> FitResult:
+def fit(config: PretrainConfig, dataset: MultiViewDataset, folder: Path, checkpoint: Path | None) -> FitResult | None:
     """Train, validate, probe and export into a folder, from a checkpoint if one is given.
+
+    Returns:
+        What was measured; None in all processes but the first of those that share the run.
 
     Raises:
         KeyboardInterrupt: the user interrupted; the last checkpoint stays.
+        LostProcessError: another process that shares the run has gone.
     """
-    if config.threads is not None:
-        torch.set_num_threads(config.threads)
-    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)  # its advertisements and device lists
+    accelerator = choose_accelerator(config.accelerator, config.devices)
+    precision = resolve_precision(config.precision, torch.device(accelerator))
+    if (threads := thread_count(config, accelerator)) is not None:
+        torch.set_num_threads(threads)
+    for name in ("lightning.pytorch", "lightning.fabric"):  # advertisements, lists of devices and processes
+        logging.getLogger(name).setLevel(logging.WARNING)
     warnings.filterwarnings("ignore", module="lightning.pytorch.*")
     lightning.seed_everything(config.seed, verbose=False)
-    data = MultiViewDataModule(dataset, config)
-    module = SnerlModule(config, dataset, data.statistics, data.rig)
     logs = "logs" if checkpoint is None else f"logs/resumed_{int(time.time())}"  # a logger empties its folder
     trainer = lightning.Trainer(
         default_root_dir=folder,
+        accelerator=accelerator,
+        devices=config.devices,
+        num_nodes=config.nodes,
+        strategy=choose_strategy(config),
+        plugins=[environment(config)],
         max_steps=config.steps,
-        precision=_precision(config.precision),
+        precision=lightning_precision(precision),
         logger=[CSVLogger(folder, name="", version=logs), TensorBoardLogger(folder, name="", version=logs)],
         callbacks=[
             ModelCheckpoint(
@@ -68,19 +91,29 @@ def fit(config: PretrainConfig, dataset: MultiViewDataset, folder: Path, checkpo
         ],
         check_val_every_n_epoch=config.epochs_per_validation,
         reload_dataloaders_every_n_epochs=1,
+        use_distributed_sampler=False,  # a batch and a validation share themselves out
         num_sanity_val_steps=1,
-        log_every_n_steps=25,
+        log_every_n_steps=config.log_every,
         enable_progress_bar=False,
         enable_model_summary=False,
     )
+    data = MultiViewDataModule(dataset, config, trainer.global_rank, trainer.world_size, accelerator == "cuda")
+    module = SnerlModule(config, dataset, data.statistics, data.rig)
     try:
         trainer.fit(module, data, ckpt_path=checkpoint, weights_only=True)
+        if module.validated_step != trainer.global_step:
+            trainer.validate(module, data, verbose=False)
     except SystemExit as error:  # what Lightning makes of an interruption
         raise KeyboardInterrupt from error
-    if module.validated_step != trainer.global_step:
-        trainer.validate(module, data, verbose=False)
+    except RuntimeError as error:
+        if trainer.world_size > 1 and is_lost_connection(error):
+            raise LostProcessError("another process of the run has gone") from error
+        raise
+    if not trainer.is_global_zero:
+        return None
+    device = describe_device(trainer.strategy.root_device)
     probe = _export(module, dataset, config, folder)
-    return FitResult(trainer.global_step, module.seconds, module.validation, module.class_iou, probe)
+    return FitResult(trainer.global_step, module.seconds, device, precision, module.validation, module.class_iou, probe)
 
 
 def _export(module: SnerlModule, dataset: MultiViewDataset, config: PretrainConfig, folder: Path) -> ProbeResult:
@@ -101,18 +134,8 @@ def _export(module: SnerlModule, dataset: MultiViewDataset, config: PretrainConf
     return probe
 
 
-def _precision(name: str) -> Any:
-    """Return Lightning's name for a precision; ``auto`` takes bf16 where it is computed and not emulated."""
-    if name == "auto":
-        if torch.cuda.is_available():
-            name = "bf16" if torch.cuda.is_bf16_supported() else "32"
-        else:
-            name = "bf16" if torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported() else "32"
-    return {"32": "32-true", "bf16": "bf16-mixed"}[name]
-
-
 class _ProgressLines(Callback):
-    """Shows the progress of training."""
+    """Shows the progress of training, from the first of the processes."""
 
     def __init__(self, steps: int):
         self._steps = steps
@@ -121,13 +144,12 @@ class _ProgressLines(Callback):
         self._progress = Progress(self._steps, "steps", done=trainer.global_step)
 
     def on_train_batch_end(self, trainer: lightning.Trainer, module: lightning.LightningModule, *_: Any) -> None:
-        psnr = trainer.progress_bar_metrics.get("psnr", float("nan"))
-        self._progress.advance(note=f"PSNR of rays {psnr:.1f} dB, {100 * module.progress():.0f} % of the budget")  # type: ignore[operator]
+        if trainer.is_global_zero and isinstance(module, SnerlModule):
+            self._progress.advance(note=module.describe_step)
 
     def on_validation_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
-        if not trainer.sanity_checking and isinstance(module, SnerlModule):
-            figures = "  ".join(f"{name} {value:.3f}" for name, value in module.validation.items())
-            print(f"step {trainer.global_step}: {figures}", flush=True)
+        if trainer.is_global_zero and not trainer.sanity_checking and isinstance(module, SnerlModule):
+            print(f"step {trainer.global_step}: {describe_validation(module.validation)}", flush=True)
 
 
 class _Reconstructions(Callback):
@@ -137,10 +159,10 @@ class _Reconstructions(Callback):
         self._folder = folder
 
     def on_validation_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
-        if trainer.sanity_checking or not isinstance(module, SnerlModule):
+        if trainer.sanity_checking or not trainer.is_global_zero or not isinstance(module, SnerlModule):
             return
         self._folder.mkdir(exist_ok=True)
-        frames = list(trainer.val_dataloaders.dataset)  # type: ignore[union-attr]
+        frames = [frame for frame in trainer.val_dataloaders.dataset if frame != NO_FRAME]  # type: ignore[union-attr]
         picked = [int(frames[len(frames) * i // _FRAMES_IN_GRID]) for i in range(_FRAMES_IN_GRID)]
         grid = reconstruction_grid(module, picked)
         cv2.imwrite(str(self._folder / f"step_{trainer.global_step:06d}.png"), grid[..., ::-1])

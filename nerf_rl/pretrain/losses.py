@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from nerf_rl.pretrain.batches import RayBatch
 from nerf_rl.pretrain.config import LossConfig
-from nerf_rl.pretrain.data import RayBatch
 from nerf_rl.pretrain.rendering import RenderedRays
 
 
@@ -15,8 +15,7 @@ def losses(rendered: RenderedRays, batch: RayBatch) -> dict[str, Tensor]:
     """Return each loss, unweighted.
 
     ``rgb``: mean squared error of colours. ``semantic``: cross-entropy of class labels. ``feature``: mean squared
-    error of
-    the teachers' features. ``depth``: mean distance of a ray's weight from its known surface [m],
+    error of the teachers' features. ``depth``: mean distance of a ray's weight from its known surface [m],
     ``sum_i w_i |t_i - depth|``, which bounds the error of the expected depth from above and is only zero if all weight
     lies on the surface.
     """

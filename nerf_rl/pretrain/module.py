@@ -11,19 +11,23 @@ from torch import Tensor
 
 from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.metrics import confusion_matrix, intersection_over_union, psnr_db
+from nerf_rl.pretrain.batches import RayBatch
 from nerf_rl.pretrain.config import PretrainConfig
-from nerf_rl.pretrain.data import RayBatch, Statistics
+from nerf_rl.pretrain.data_module import NO_FRAME
+from nerf_rl.pretrain.distributed import mean_over_processes, of_first_process, sum_over_processes
 from nerf_rl.pretrain.encoder import Encoder
 from nerf_rl.pretrain.encoder_rig import EncoderRig
 from nerf_rl.pretrain.field import RadianceField
 from nerf_rl.pretrain.losses import losses, weighted_sum
-from nerf_rl.pretrain.rendering import RenderedImages, render_images, render_with_depth
+from nerf_rl.pretrain.rendering import RenderedImages, SampleNoise, render_images, render_with_depth
+from nerf_rl.pretrain.statistics import Statistics
 from nerf_rl.pretrain.teachers import WIDTHS
 
 _WARM_UP = 0.03  # share of the schedule in which the learning rate rises
 _PLANE_RATE = 10.0  # of static feature planes, times the learning rate: few rays reach any one cell
 _LAST_RATE = 0.02  # of the peak rate
 _LONGEST_GRADIENT = 1.0
+_LEAST_ERROR = 1e-10  # squared, of colours: a picture without any counts as 100 dB, which has a mean with others
 
 
 class SnerlModule(lightning.LightningModule):
@@ -48,29 +52,49 @@ class SnerlModule(lightning.LightningModule):
         self.field = RadianceField(
             config.radiance_field, statistics.bounds, config.encoder.latent, classes, teacher_width
         )
-        self.validation: dict[str, float] = {}
-        self.class_iou: dict[str, float] = {}
+        self.validation: dict[str, float | None] = {}
+        self.class_iou: dict[str, float | None] = {}
         self.validated_step = -1
         """the step that ``validation`` and ``class_iou`` are of"""
         self.seconds = 0.0
         """spent training, over all resumptions [s]"""
+        self.ray_error: Tensor | None = None
+        """squared error of the last step's colours; it stays on the device, so that no step waits to show it"""
         self._clock = time.monotonic()
         self._reset_validation()
 
     def training_step(self, batch: RayBatch, step: int) -> Tensor:
-        """Return the loss of a step; log every loss by its name."""
+        """Return the loss of a step, of this process's share of its scenes; log every loss by its name, of all."""
         self.field.sharpen(min(self.progress() / self.config.sharp_at, 1.0))
-        generator = torch.Generator(self.device).manual_seed(self.config.seed * 1_000_003 + self.global_step)
         latent = self.encoder(batch.images, batch.projections)
         rendered = render_with_depth(
-            self.field, latent, batch.origins, batch.directions, batch.depth, self.config.sampling, generator
+            self.field,
+            latent,
+            batch.origins,
+            batch.directions,
+            batch.depth,
+            self.config.sampling,
+            self._noise(len(batch.images)),
         )
         named = losses(rendered, batch)
         total = weighted_sum(named, self.config.losses)
-        self.log_dict({f"train/{name}": value for name, value in {**named, "total": total}.items()})
-        psnr = -10.0 * torch.log10(named["rgb"].detach())
-        self.log("psnr", psnr, prog_bar=True, logger=False)
+        values = mean_over_processes(torch.stack([value.detach() for value in (*named.values(), total)]))
+        self.ray_error = values[0]
+        self.log_dict({f"train/{name}": value for name, value in zip((*named, "total"), values, strict=True)})
         return total
+
+    def describe_step(self) -> str:
+        """Return how the last step went, in words; it waits for the device."""
+        error = float("nan") if self.ray_error is None else float(self.ray_error)
+        return f"PSNR of rays {psnr_db(error):.1f} dB, {100 * self.progress():.0f} % of the budget"
+
+    def _noise(self, scenes: int) -> SampleNoise:
+        """Draw where the rays of this process's scenes are evaluated: its share of what one process would draw."""
+        config = self.config
+        generator = torch.Generator(self.device).manual_seed(config.seed * 1_000_003 + self.global_step)
+        noise = SampleNoise.draw(config.sampling, config.scenes_per_step, config.rays_per_scene, generator, self.device)
+        first = self.global_rank * scenes
+        return noise.of_scenes(slice(first, first + scenes))
 
     def progress(self) -> float:
         """Return the share of the run that is done: of its steps, or of its time if that is further."""
@@ -112,12 +136,18 @@ class SnerlModule(lightning.LightningModule):
 
     def on_train_batch_start(self, batch: RayBatch, step: int) -> int | None:
         """Count the time; end the run when the budget is spent."""
-        now = time.monotonic()
-        self.seconds, self._clock = self.seconds + now - self._clock, now
+        self._count_time()
         if self.progress() >= 1.0:
             self.trainer.should_stop = True
             return -1
         return None
+
+    def _count_time(self) -> None:
+        """Add what has passed since the last call; where schedules follow the time, by the first process's clock."""
+        now = time.monotonic()
+        self.seconds, self._clock = self.seconds + now - self._clock, now
+        if self.config.max_minutes is not None:
+            self.seconds = of_first_process(self.seconds, self.device)
 
     def on_fit_start(self) -> None:
         """Start the clock."""
@@ -129,26 +159,36 @@ class SnerlModule(lightning.LightningModule):
 
     def validation_step(self, frame: int, step: int) -> None:
         """Render a held-out frame from the encoder's cameras, without its depth, and compare."""
+        if int(frame) == NO_FRAME:
+            return
         rendered, truth = self.render_frame(int(frame)), self.truth(int(frame))
         error = ((rendered.rgb - truth["rgb"]) ** 2).mean(axis=(1, 2, 3))
-        self._psnr += [psnr_db(float(view)) for view in error]
+        self._psnr += [psnr_db(max(float(view), _LEAST_ERROR)) for view in error]
         self._confusion += confusion_matrix(truth["semantic"], rendered.semantic, len(self._confusion))
         near = truth["depth"] < self._bounds.far
         self._depth += [float(np.abs(rendered.depth - truth["depth"])[near].mean())] if near.any() else []
 
     def on_validation_epoch_end(self) -> None:
-        """Log the figures of the held-out frames."""
-        if not self._psnr:
+        """Log the figures of the held-out frames, those of all processes together."""
+        sums = [sum(self._psnr), len(self._psnr), sum(self._depth), len(self._depth)]
+        own = torch.tensor([*sums, *self._confusion.ravel()], dtype=torch.float64, device=self.device)
+        merged = sum_over_processes(own).cpu().numpy()
+        (psnr, views, depth, frames), confusion = merged[:4], merged[4:].reshape(self._confusion.shape)
+        if not views:
             return
-        iou = intersection_over_union(self._confusion)
+        iou = intersection_over_union(confusion.astype(np.int64))
         self.validation = {
-            "psnr_db": float(np.mean(self._psnr)),
+            "psnr_db": float(psnr / views),
             "miou": float(np.nanmean(iou)),
-            "depth_mae_m": float(np.mean(self._depth)) if self._depth else 0.0,
+            "depth_mae_m": float(depth / frames) if frames else None,
         }
         self.validated_step = self.global_step
-        self.class_iou = {name: float(value) for name, value in zip(self._dataset.class_names, iou, strict=True)}
-        self.log_dict({f"validation/{name}": value for name, value in self.validation.items()})
+        self.class_iou = {
+            name: None if math.isnan(value) else float(value)
+            for name, value in zip(self._dataset.class_names, iou.tolist(), strict=True)
+        }
+        known = {f"validation/{name}": value for name, value in self.validation.items() if value is not None}
+        self.log_dict(known, rank_zero_only=True)
 
     @property
     def palette(self) -> np.ndarray:

@@ -14,6 +14,7 @@ from nerf_rl.pretrain.field import RadianceField
 from nerf_rl.pretrain.volume_rendering import (
     approach_samples,
     composite,
+    even_samples,
     importance_samples,
     rendering_weights,
     sample_spacings,
@@ -54,6 +55,37 @@ def render_at(
     return RenderedRays(field.read(composite(weights.to(features.dtype), features)), depths, weights)
 
 
+@dataclass
+class SampleNoise:
+    """What is random about where B x R rays of known depth are evaluated."""
+
+    even: Float[Tensor, "B R S"]
+    """uniform in [0, 1]"""
+    before: Float[Tensor, "B R A"]
+    """uniform in [0, 1]"""
+    around: Float[Tensor, "B R N"]
+    """standard normal"""
+
+    @classmethod
+    def draw(
+        cls, config: SamplingConfig, scenes: int, rays: int, generator: torch.Generator, device: torch.device
+    ) -> "SampleNoise":
+        """Draw it for all rays of some scenes."""
+
+        def counts(samples: int) -> tuple[int, int, int]:
+            return scenes, rays, samples
+
+        return cls(
+            torch.rand(counts(config.training_stratified), generator=generator, device=device),
+            torch.rand(counts(config.training_approach), generator=generator, device=device),
+            torch.randn(counts(config.training_surface), generator=generator, device=device),
+        )
+
+    def of_scenes(self, share: slice) -> "SampleNoise":
+        """Return that of some of the scenes."""
+        return SampleNoise(self.even[share], self.before[share], self.around[share])
+
+
 def render_with_depth(
     field: RadianceField,
     latent: Float[Tensor, "B Z"],
@@ -61,17 +93,16 @@ def render_with_depth(
     directions: Float[Tensor, "B R 3"],
     depth: Float[Tensor, "B R"],
     config: SamplingConfig,
-    generator: torch.Generator,
+    noise: SampleNoise,
 ) -> RenderedRays:
     """Render rays whose planar depth [m] is known: samples everywhere, before the surface, and around it.
 
     Those before the surface tell the field what is empty where something might have been.
     """
     near, far = field.bounds.near, field.bounds.far
-    shape = tuple(depth.shape)
-    even = stratified_samples(near, far, shape, config.training_stratified, generator, depth.device)
-    before = approach_samples(depth, config.approach_reach, near, config.training_approach, generator)
-    around = surface_samples(depth, config.surface_deviation, near, far, config.training_surface, generator)
+    even = stratified_samples(near, far, noise.even)
+    before = approach_samples(depth, config.approach_reach, near, noise.before)
+    around = surface_samples(depth, config.surface_deviation, near, far, noise.around)
     backdrop = torch.full_like(depth[..., None], far)
     depths = torch.cat([torch.cat([even, before, around], dim=-1).sort(-1).values, backdrop], dim=-1)
     return render_at(field, latent, origins, directions, depths)
@@ -88,7 +119,7 @@ def render_without_depth(
     """Render rays of unknown depth: stratified samples, then importance samples where those found density."""
     near, far = field.bounds.near, field.bounds.far
     shape = tuple(origins.shape[:2])
-    even = stratified_samples(near, far, shape, config.rendering_stratified, None, origins.device)
+    even = even_samples(near, far, shape, config.rendering_stratified, origins.device)
     density, _ = _evaluate(field, latent, origins, directions, even)
     coarse = rendering_weights(density, sample_spacings(even, directions))
     fine = importance_samples(even, coarse, config.rendering_importance)

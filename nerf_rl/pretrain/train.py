@@ -8,6 +8,8 @@ from nerf_rl.datasets.shards import SPLIT_NAMES
 from nerf_rl.errors import UserError
 from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.encoder_rig import EncoderRig
+from nerf_rl.pretrain.figures import describe_validation
+from nerf_rl.pretrain.launch import rank_from_outside, run_on_each_device
 from nerf_rl.runs import SUMMARY, peak_rss_mb, prepare_output, require_same_keys, write_json, write_provenance
 from nerf_rl.threads import yield_while_waiting
 
@@ -18,39 +20,61 @@ def pretrain(config: PretrainConfig) -> None:
     """Train an encoder on a dataset and export it into ``config.out``.
 
     Raises:
-        UserError: no dataset, too few frames, cameras that move, or an output folder in use.
+        UserError: no dataset, too few frames, cameras that move, devices that there are not, or an output folder in
+            use.
     """
     dataset = MultiViewDataset(config.data)
     if min(len(dataset.split(name)) for name in SPLIT_NAMES) < 2:  # probes need two
         raise UserError(f"{config.data} needs training and validation frames; generate more than one episode")
     EncoderRig.of_dataset(dataset)
+    rank = rank_from_outside(config)
+    yield_while_waiting()
+    if config.accelerator == "gpu" or config.devices > 1:
+        from nerf_rl.pretrain.placement import choose_accelerator  # PyTorch takes seconds to import
+
+        choose_accelerator(config.accelerator, config.devices)
     folder = Path(config.out)
     resumable = (folder / CHECKPOINT).is_file()
-    if config.resume and resumable:
-        require_same_keys(folder, config.content())
-    prepare_output(folder, config.overwrite, config.resume, resumable, "pretrain")
-    write_provenance(folder, "pretrain", config)
+    if not rank:  # the first of several processes, or the only one
+        if config.resume and resumable:
+            require_same_keys(folder, config.content())
+        prepare_output(folder, config.overwrite, config.resume, resumable, "pretrain")
+        write_provenance(folder, "pretrain", config)
+        print(f"training on {len(dataset)} frames of {config.data}; writing to {folder}", flush=True)
+    checkpoint = folder / CHECKPOINT if config.resume and resumable else None
+    if rank is None and config.processes > 1:
+        run_on_each_device(config, train, checkpoint)
+    else:
+        train(config, checkpoint)
 
-    yield_while_waiting()
+
+def train(config: PretrainConfig, checkpoint: Path | None) -> None:
+    """Do this process's part of a run; the first of its processes writes and prints what came out.
+
+    Args:
+        config: of the run, whose folder is prepared.
+        checkpoint: to go on from.
+    """
     from nerf_rl.pretrain.fitting import fit  # PyTorch and Lightning take seconds to import; mistakes are told before
 
     started = time.monotonic()
-    print(f"training on {len(dataset)} frames of {config.data}; writing to {folder}")
-    result = fit(config, dataset, folder, folder / CHECKPOINT if config.resume and resumable else None)
+    folder = Path(config.out)
+    result = fit(config, MultiViewDataset(config.data), folder, checkpoint)
+    if result is None:
+        return
     summary = {
         "steps": result.steps,
         "seconds": round(time.monotonic() - started, 1),
         "training_seconds": round(result.training_seconds, 1),
         "peak_rss_mb": round(peak_rss_mb(), 1),
+        "device": result.device,
+        "processes": config.processes,
+        "precision": result.precision,
         "validation": result.validation,
         "class_iou": result.class_iou,
         "probe": result.probe.encoder,
         "probe_random_encoder": result.probe.random_encoder,
     }
     write_json(folder / SUMMARY, summary)
-    figures = result.validation
-    print(
-        f"{folder}: {result.steps} steps, PSNR {figures['psnr_db']:.1f} dB, mIoU {figures['miou']:.2f}, "
-        f"depth error {100 * figures['depth_mae_m']:.1f} cm"
-    )
+    print(f"{folder}: {result.steps} steps, {describe_validation(result.validation)}")
     print(result.probe.table())

@@ -1,9 +1,8 @@
 """Volume rendering along rays, as pure functions over tensors.
 
 A ray is an origin and a direction of unit planar depth, so sample positions ``t`` are planar depths [m]. Samples are
-sorted
-along the last dimension S; leading dimensions are free. Following Max, "Optical models for direct volume rendering"
-(1995), as in NeRF (2020), equation 3:
+sorted along the last dimension S; leading dimensions are free. Following Max, "Optical models for direct volume
+rendering" (1995), as in NeRF (2020), equation 3:
 
     weight_i = T_i (1 - exp(-density_i delta_i)),  T_i = exp(-sum_{j<i} density_j delta_j).
 """
@@ -13,37 +12,40 @@ from jaxtyping import Float
 from torch import Tensor
 
 
-def stratified_samples(
-    near: float, far: float, shape: tuple[int, ...], count: int, generator: torch.Generator | None, device: torch.device
+def even_samples(
+    near: float, far: float, shape: tuple[int, ...], count: int, device: torch.device
 ) -> Float[Tensor, "*B S"]:
-    """Return one depth in each of ``count`` equal bins between near and far [m].
+    """Return the centres of ``count`` equal bins between near and far [m]."""
+    return stratified_samples(near, far, torch.full((*shape, count), 0.5, device=device))
 
-    It is random within the bin if a generator is given, else the bin's centre.
+
+def stratified_samples(near: float, far: float, offsets: Float[Tensor, "*B S"]) -> Float[Tensor, "*B S"]:
+    """Return one depth in each of S equal bins between near and far [m].
+
+    Args:
+        near, far: depths [m].
+        offsets: where in its bin each is, in [0, 1].
     """
-    edges = torch.arange(count, device=device, dtype=torch.float32)
-    if generator is None:
-        offsets = torch.full((*shape, count), 0.5, device=device)
-    else:
-        offsets = torch.rand((*shape, count), generator=generator, device=device)
+    count = offsets.shape[-1]
+    edges = torch.arange(count, device=offsets.device, dtype=torch.float32)
     return near + (far - near) * (edges + offsets) / count
 
 
 def surface_samples(
-    depth: Float[Tensor, "*B"], deviation: float, near: float, far: float, count: int, generator: torch.Generator
+    depth: Float[Tensor, "*B"], deviation: float, near: float, far: float, noise: Float[Tensor, "*B S"]
 ) -> Float[Tensor, "*B S"]:
-    """Return depths drawn around a known surface [m], within near and far."""
-    noise = torch.randn((*depth.shape, count), generator=generator, device=depth.device)
+    """Return depths around a known surface [m], within near and far; ``noise`` is in units of ``deviation`` [m]."""
     return (depth[..., None] + deviation * noise).clamp(near, far)
 
 
 def approach_samples(
-    depth: Float[Tensor, "*B"], reach: float, near: float, count: int, generator: torch.Generator
+    depth: Float[Tensor, "*B"], reach: float, near: float, offsets: Float[Tensor, "*B S"]
 ) -> Float[Tensor, "*B S"]:
     """Return depths on the last stretch before a known surface [m], denser towards it.
 
-    They are ``depth - reach u^2``, with u stratified in [0, 1].
+    They are ``depth - reach u^2``, with u stratified in [0, 1] by ``offsets`` in [0, 1].
     """
-    u = stratified_samples(0.0, 1.0, tuple(depth.shape), count, generator, depth.device)
+    u = stratified_samples(0.0, 1.0, offsets)
     return (depth[..., None] - reach * u**2).clamp_min(near)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.errors import MissingFileError, OutputExistsError
 from nerf_rl.pretrain.artefact import read_description
+from nerf_rl.pretrain.figures import describe_iou, describe_validation
 from nerf_rl.rl.artefact import check_policy
 from nerf_rl.runs import PROVENANCE, SUMMARY, read_json, write_text
 from nerf_rl.tools.config import ReportConfig
@@ -58,8 +59,7 @@ def _key_figures(summaries: dict[str, dict[str, Any]]) -> list[str]:
     return [
         f"dataset  {data['frames']} frames, {data['views']} views in {data['seconds']:.0f} s "
         f"({data['views_per_second']:.0f} views/s, {data['renderer']})",
-        f"encoder  {encoder['steps']} steps in {encoder['seconds']:.0f} s: held-out PSNR {figures['psnr_db']:.1f} dB, "
-        f"mIoU {figures['miou']:.2f}, depth error {100 * figures['depth_mae_m']:.1f} cm",
+        f"encoder  {encoder['steps']} steps in {encoder['seconds']:.0f} s: held-out {describe_validation(figures)}",
         "probe    " + ", ".join(f"{name} {figure['rmse_mm']:.1f} mm" for name, figure in encoder["probe"].items()),
         f"policy   {last['success_rate']:.0%} success (95 % interval {last['ci_low']:.0%} to {last['ci_high']:.0%}, "
         f"{last['episodes']} episodes) after {last['env_steps']} environment steps in {agent['seconds']:.0f} s",
@@ -87,7 +87,7 @@ def _add_encoder(page: Page, folder: Path, summary: dict[str, Any]) -> None:
             "field renders from the latent alone (lower row). Colours, labels, depth."
         )
         page.image(pictures[-1].read_bytes(), caption)
-    page.table(["class", "IoU"], [[name, f"{iou:.2f}"] for name, iou in summary["class_iou"].items()])
+    page.table(["class", "IoU"], [[name, describe_iou(iou)] for name, iou in summary["class_iou"].items()])
     page.paragraph("What a linear map reads from the latent, on held-out episodes:")
     rows = []
     for name, figure in summary["probe"].items():

@@ -20,10 +20,10 @@ from nerf_rl.pretrain.folded_field import FoldedField
 from nerf_rl.pretrain.rendering import RenderedImages
 from nerf_rl.pretrain.volume_rendering import (
     composite,
+    even_samples,
     importance_samples,
     rendering_weights,
     sample_spacings,
-    stratified_samples,
 )
 
 _BINS = 48  # of depth, in which coarse rays remember where they met something
@@ -103,12 +103,12 @@ def render_progressively(
     device = field.latent.device
     origin, directions = camera.rays(height, width)
     spacing = (far - near) / _COARSE_SAMPLES
-    every = stratified_samples(near, far, (height * width,), _COARSE_SAMPLES, None, device)
+    every = even_samples(near, far, (height * width,), _COARSE_SAMPLES, device)
     rays = _in_chunks(lambda part: _render_twice(field, origin, directions[part], every[part]), len(every), stale)
     if rays is None:
         return
     yield _images(field, rays, height, width)
-    bins = stratified_samples(near, far, (), _BINS, None, device)
+    bins = even_samples(near, far, (), _BINS, device)
     histogram = _histogram(rays, near, far).reshape(1, height, width, _BINS).permute(0, 3, 1, 2)
     around = F.max_pool2d(histogram, 3, 1, 1)
     longest = max(spacing, 1.5 * (far - near) / _BINS)
