@@ -8,7 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import lightning
 import numpy as np
 import torch
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, Dataset
 
 from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.pretrain.batches import RayBatch, RayBatches
@@ -54,7 +54,7 @@ class BatchesAhead:
         steps: to iterate over.
     """
 
-    def __init__(self, batches: RayBatches, steps: EpochSteps):
+    def __init__(self, batches: Dataset, steps: EpochSteps):
         self._batches, self._steps = batches, steps
 
     def __iter__(self) -> Iterator[RayBatch]:

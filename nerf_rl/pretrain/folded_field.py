@@ -3,7 +3,7 @@
 from typing import cast
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
@@ -33,7 +33,7 @@ class FoldedField:
         weight = first.weight
         bias = first.bias + self._added(0)
         total = weight[:, :block].clone()
-        low, high = -torch.ones(3), torch.ones(3)
+        low, high = -torch.ones(3, device=latent.device), torch.ones(3, device=latent.device)
         if field.frame_origins is not None:
             origins = field.frame_origins(self.latent).reshape(-1, 3)
             # frames clamp what is farther than 2 from their origin
@@ -47,7 +47,7 @@ class FoldedField:
                 total[:, 3 : 3 + waves] += sine * phase.cos() + cosine * phase.sin()
                 total[:, 3 + waves :] += cosine * phase.cos() - sine * phase.sin()
                 bias = bias - part[:, :3] @ origin
-        by_octave = torch.arange(waves).reshape(3, count).T.flatten()
+        by_octave = torch.arange(waves, device=latent.device).reshape(3, count).T.flatten()
         columns = torch.stack([3 + by_octave.reshape(count, 3), 3 + waves + by_octave.reshape(count, 3)], dim=1)
         planes = weight[:, -3 * field.config.plane_features :]
         self._weight = torch.cat([total[:, :3], total[:, columns.flatten()], planes], dim=1).contiguous()
@@ -57,18 +57,24 @@ class FoldedField:
     def __call__(self, points: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, "N"], Float[Tensor, "N W"]]:
         """Return density [1/m] and features at world points [m]."""
         x = (points - self.field.centre) / self.field.bounds.half_extent
-        inside = ((x >= self._low) & (x <= self._high)).all(-1)
+        inside = self.is_inside(x)
         if bool(inside.all()):
-            return self._near(x)
+            return self.inside(x)
         density = points.new_empty(len(points))
         features = points.new_empty(len(points), self.field.config.width)
         if bool(inside.any()):
-            density[inside], features[inside] = self._near(x[inside])
+            density[inside], features[inside] = self.inside(x[inside])
         far_density, far_features = self.field(points[~inside][None], self.latent)
         density[~inside], features[~inside] = far_density[0], far_features[0]
         return density, features
 
-    def _near(self, x: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, "N"], Float[Tensor, "N W"]]:
+    def is_inside(self, x: Float[Tensor, "N 3"]) -> Bool[Tensor, "N"]:
+        """Tell which points, in half extents from the box's centre, are where nothing is contracted or clamped."""
+        return ((x >= self._low) & (x <= self._high)).all(-1)
+
+    @torch.inference_mode()
+    def inside(self, x: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, "N"], Float[Tensor, "N W"]]:
+        """Return density [1/m] and features at such points."""
         sine, cosine = torch.sin(torch.pi * x), torch.cos(torch.pi * x)
         encoded = [x]
         for _ in range(self.field.config.frequencies):
@@ -84,4 +90,6 @@ class FoldedField:
     def _added(self, layer: int) -> Tensor:
         """Return what the latent adds to a layer's bias."""
         name = str(layer)
-        return self.field.latent_layers[name](self.latent)[0] if name in self.field.latent_layers else torch.zeros(1)
+        if name not in self.field.latent_layers:
+            return torch.zeros(1, device=self.latent.device)
+        return self.field.latent_layers[name](self.latent)[0]

@@ -14,7 +14,7 @@ from nerf_rl.pretrain.field import FieldBounds
 
 _FRAMES = 200
 _FRAMES_AT_ONCE = 8
-_MOST_PIXELS = 4_000_000  # whose depth is looked at
+_MOST_PIXELS = 1_000_000  # whose depth is looked at
 _PIXELS_PER_POINT = 7  # of them
 _HIT = 0.999  # of the far plane: what is nearer was hit by a ray, not missed by all
 _BACKDROP = 2.5  # in median depths of what is hit

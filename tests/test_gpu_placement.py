@@ -1,0 +1,100 @@
+"""All that pretraining computes, on a GPU that need not be there: fake tensors raise where devices mix."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import torch
+from torch._subclasses.fake_tensor import FakeTensorMode
+
+from nerf_rl.cameras import intrinsics_from_fovy, look_at
+from nerf_rl.pretrain.batches import RayBatch
+from nerf_rl.pretrain.config import EncoderConfig, FieldConfig, LossConfig, SamplingConfig
+from nerf_rl.pretrain.encoder import Encoder
+from nerf_rl.pretrain.encoder_rig import EncoderRig
+from nerf_rl.pretrain.field import FieldBounds, RadianceField
+from nerf_rl.pretrain.folded_field import FoldedField
+from nerf_rl.pretrain.losses import losses, weighted_sum
+from nerf_rl.pretrain.rendering import SampleNoise, render_with_depth, render_without_depth
+
+SCENES, RAYS, VIEWS, SIZE, CLASSES = 2, 5, 2, 16, 3
+SAMPLING = SamplingConfig(rendering_stratified=6, rendering_importance=4)
+CUDA = torch.device("cuda", 0)
+
+
+@pytest.fixture
+def gpu() -> Iterator[None]:
+    """Make what is created in a test a fake tensor on a GPU, and refuse tensors that are not."""
+    with FakeTensorMode(allow_non_fake_inputs=False), CUDA:
+        yield
+
+
+def make_encoder() -> Encoder:
+    pose = np.stack([look_at(np.zeros(3), 1.0, azimuth, -30.0) for azimuth in (20.0, 160.0)])
+    intrinsics = np.stack([intrinsics_from_fovy(45.0, SIZE, SIZE)] * VIEWS)
+    rig = EncoderRig(("left", "right"), intrinsics, pose, SIZE, SIZE)
+    return Encoder(EncoderConfig(latent=8, channels=[8, 16], hidden=16), rig)
+
+
+def make_field(moving_frames: int = 2) -> RadianceField:
+    config = FieldConfig(width=16, layers=3, moving_frames=moving_frames, plane_size=8, plane_features=2)
+    return RadianceField(config, FieldBounds(0.2, 2.0, (0.0, 0.0, 0.0), 0.5), 8, CLASSES, 4)
+
+
+def make_batch() -> RayBatch:
+    return RayBatch(
+        torch.zeros(SCENES, VIEWS, SIZE, SIZE, 3, dtype=torch.uint8),
+        torch.rand(SCENES, VIEWS, 3, 4),
+        torch.rand(SCENES, RAYS, 3),
+        torch.rand(SCENES, RAYS, 3),
+        torch.rand(SCENES, RAYS, 3),
+        torch.zeros(SCENES, RAYS, dtype=torch.int64),
+        torch.rand(SCENES, RAYS),
+        torch.rand(SCENES, RAYS, 4),
+    )
+
+
+@pytest.mark.usefixtures("gpu")
+def test_a_training_step_stays_on_the_gpu():
+    encoder, field, batch = make_encoder(), make_field(), make_batch()
+    parameters = [*encoder.parameters(), *field.parameters()]
+    optimiser = torch.optim.Adam(parameters, fused=True)
+    field.sharpen(0.5)
+    shape = (SCENES, RAYS)
+    noise = SampleNoise(torch.rand(*shape, 4), torch.rand(*shape, 3), torch.randn(*shape, 3))
+    latent = encoder(batch.images, batch.projections)
+    rendered = render_with_depth(field, latent, batch.origins, batch.directions, batch.depth, SAMPLING, noise)
+    named = losses(rendered, batch)
+    values = [*named.values(), weighted_sum(named, LossConfig()), rendered.depth, *rendered.values.values()]
+    assert {value.device for value in values} == {CUDA}
+    for parameter in parameters:  # going backwards takes a real GPU
+        parameter.grad = torch.zeros_like(parameter)
+    torch.nn.utils.clip_grad_norm_(parameters, 1.0)
+    optimiser.step()
+    assert {parameter.device for parameter in parameters} == {CUDA}
+
+
+@pytest.mark.usefixtures("gpu")
+def test_rays_without_depth_and_latents_stay_on_the_gpu():
+    encoder, field, batch = make_encoder().requires_grad_(False), make_field(), make_batch()
+    latent = encoder.standardise(encoder(batch.images, batch.projections))
+    rendered = render_without_depth(field, latent, batch.origins, batch.directions, SAMPLING)
+    values = [*rendered.values.values(), rendered.depth, rendered.weights]
+    assert {value.device for value in values} == {CUDA}
+
+
+@pytest.mark.parametrize("moving_frames", [0, 2])
+@pytest.mark.usefixtures("gpu")
+def test_a_folded_field_stays_on_the_gpu(moving_frames: int):
+    field = make_field(moving_frames)
+    folded = FoldedField(field, torch.rand(8))
+    density, features = folded.inside(torch.rand(7, 3))
+    assert density.device == features.device == CUDA
+    assert folded.is_inside(torch.rand(7, 3)).device == CUDA
+
+
+@pytest.mark.usefixtures("gpu")
+def test_devices_that_mix_are_found():
+    field = make_field()
+    with pytest.raises(RuntimeError, match=r"two different devices|on the same device"):
+        field(torch.rand(1, 4, 3, device="cpu"), torch.rand(1, 8))

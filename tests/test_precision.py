@@ -1,0 +1,67 @@
+"""bfloat16 and float32: both train with the shipped recipes, and what z is made of keeps its precision."""
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+import torch
+
+from nerf_rl import cli
+from nerf_rl.pretrain import precision
+from nerf_rl.pretrain.encoder import Encoder
+from nerf_rl.pretrain.precision import resolve_precision
+
+CPU, CUDA = torch.device("cpu"), torch.device("cuda", 0)
+RECIPES = Path(__file__).parents[1] / "pretrain"
+# all else is as shipped
+SHRUNK = ["--steps", "4", "--steps_per_epoch", "2", "--validation_frames", "2", "--probe_frames", "9"]
+
+
+@pytest.mark.parametrize("chosen", ["32", "bf16"])
+@pytest.mark.parametrize("recipe", sorted(path.name for path in RECIPES.glob("*.yaml")))
+def test_a_shipped_recipe_trains_to_its_end_in_either_precision(
+    recipe: str, chosen: str, tiny_dataset: Path, tmp_path: Path
+):
+    out = tmp_path / "run"
+    words = ["--config", str(RECIPES / recipe), "--data", str(tiny_dataset), "--out", str(out), *SHRUNK]
+    assert cli.main(["pretrain", *words, "--precision", chosen]) == 0
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["precision"] == chosen and summary["steps"] == 4
+    assert all(math.isfinite(value) for value in summary["validation"].values())
+    assert all(bool(torch.isfinite(p).all()) for p in Encoder.load(out).parameters())
+
+
+@pytest.mark.parametrize("native", [False, True])
+def test_auto_is_bfloat16_on_processors_that_compute_in_it_alone(native: bool, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(precision, "computes_bfloat16", lambda device: native)
+    assert resolve_precision("auto", CPU) == ("bf16" if native else "32")
+    assert resolve_precision("auto", CUDA) == "32"
+    assert [resolve_precision(name, CPU) for name in ("32", "bf16")] == ["32", "bf16"]
+
+
+@pytest.mark.parametrize("amx", [False, True])
+@pytest.mark.parametrize("avx512", [False, True])
+def test_a_processor_is_asked_for_its_instructions(avx512: bool, amx: bool, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda: avx512)
+    monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda: amx)
+    assert precision.computes_bfloat16(CPU) == (avx512 or amx)
+
+
+def test_a_gpu_that_only_emulates_bfloat16_does_not_compute_in_it(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda including_emulation=True: including_emulation)
+    assert not precision.computes_bfloat16(CUDA)
+
+
+def test_latents_that_hardly_differ_are_told_apart_in_bfloat16(tiny_encoder: Path):
+    """Early in training they do; rounded to eight bits, z would have a few values for all frames."""
+    encoder = Encoder.load(tiny_encoder)
+    rig = encoder.rig
+    generator = torch.Generator().manual_seed(0)
+    shape = (32, len(rig.names), rig.height, rig.width, 3)
+    images = 100 + torch.randint(8, shape, generator=generator, dtype=torch.uint8)
+    matrices = torch.from_numpy(rig.projections).expand(32, -1, -1, -1)
+    with torch.autocast("cpu", torch.bfloat16):
+        latent = encoder(images, matrices)
+    assert latent.dtype == torch.float32
+    assert [len(column.unique()) for column in latent.T] == [32] * encoder.latent_size

@@ -1,0 +1,64 @@
+"""Where the field lives: it follows from what is hit, however much empty background there is."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nerf_rl import cli
+from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.datasets.scenes import make_scene
+from nerf_rl.errors import UserError
+from nerf_rl.pretrain import statistics
+from nerf_rl.pretrain.config import PretrainConfig
+from nerf_rl.pretrain.statistics import class_change, measure
+
+CONFIG = PretrainConfig("data", "out")
+
+
+@pytest.mark.parametrize("scene", ["gym/Pusher-v5", "gym/InvertedPendulum-v5"])
+def test_empty_background_does_not_stretch_the_box(scene: str, tmp_path: Path):
+    size = ["--episodes", "2", "--frames_per_episode", "3", "--episode_steps", "10", "--size", "40", "--workers", "1"]
+    assert cli.main(["gen-dataset", "--scene", scene, "--out", str(tmp_path / "data"), *size]) == 0
+    dataset = MultiViewDataset(tmp_path / "data")
+    assert (dataset.read("depth") > 0.99 * dataset.manifest["far"]).mean() > 0.3  # most of it shows nothing
+    bounds, workspace = measure(dataset, CONFIG).bounds, make_scene(scene).workspace()
+    distance = workspace.distance(45.0)
+    assert distance + 0.5 * workspace.radius < bounds.far < 4 * distance
+    assert bounds.half_extent < 2.5 * workspace.radius
+    things = dataset.read("state/privileged").reshape(len(dataset), -1, 3) - np.array(bounds.centre)
+    assert (np.abs(things) < 2 * bounds.half_extent).all()
+
+
+def test_cameras_that_see_nothing_are_told(tiny_dataset: Path, monkeypatch: pytest.MonkeyPatch):
+    dataset = MultiViewDataset(tiny_dataset)
+    monkeypatch.setitem(dataset.manifest, "far", 0.01)
+    with pytest.raises(UserError, match="the encoder's cameras see nothing at all; look at it with nerf-rl view"):
+        measure(dataset, CONFIG)
+
+
+def test_a_sample_of_the_pixels_tells_nearly_the_same(tiny_dataset: Path, monkeypatch: pytest.MonkeyPatch):
+    dataset = MultiViewDataset(tiny_dataset)
+    every = measure(dataset, CONFIG)
+    looked_at: list[int] = []
+    look = statistics._look
+
+    def counted(*arguments):
+        pixels, shown = look(*arguments)
+        looked_at.append(len(pixels.depth))
+        return pixels, shown
+
+    monkeypatch.setattr(statistics, "_look", counted)
+    monkeypatch.setattr(statistics, "_MOST_PIXELS", 3000)
+    some = measure(dataset, CONFIG)
+    assert looked_at[0] <= 3000 < dataset.read("depth").size
+    assert some.bounds.far == pytest.approx(every.bounds.far, rel=0.03)
+    assert some.bounds.half_extent == pytest.approx(every.bounds.half_extent, rel=0.1)
+    np.testing.assert_array_equal(some.class_weights, every.class_weights)
+    np.testing.assert_array_equal(some.pixel_weights, every.pixel_weights)
+
+
+def test_a_pixel_changes_as_often_as_it_shows_another_class_than_usual():
+    labels = np.array([[0, 1, 2], [0, 1, 1], [0, 1, 0], [0, 0, 2]])
+    shown = np.stack([(labels == label).sum(0) for label in range(3)])[:, None, None]
+    np.testing.assert_allclose(class_change(shown)[0, 0], [0.0, 0.25, 0.5])
