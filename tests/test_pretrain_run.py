@@ -21,6 +21,7 @@ from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.encoder import DESCRIPTION, WEIGHTS, Encoder
 from nerf_rl.pretrain.encoder_rig import EncoderRig
 from nerf_rl.pretrain.field import RadianceField
+from nerf_rl.pretrain.figures import describe_iou
 from nerf_rl.pretrain.module import SnerlModule
 from nerf_rl.pretrain.statistics import measure
 
@@ -186,6 +187,25 @@ def make_module(data: Path, recipe: Path, **settings: Any) -> SnerlModule:
     parsed: PretrainConfig = cli.parse("pretrain", ["--config", str(recipe), "--data", str(data), "--out", "unused"])
     config, dataset = dataclasses.replace(parsed, **settings), MultiViewDataset(data)
     return SnerlModule(config, dataset, measure(dataset, config), EncoderRig.of_dataset(dataset))
+
+
+def test_a_class_that_is_neither_shown_nor_rendered_has_no_iou(
+    tiny_dataset: Path, tiny_pretraining_recipe: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(SnerlModule, "log_dict", lambda *_, **__: None)
+    monkeypatch.setattr(SnerlModule, "global_step", 7)
+    names = MultiViewDataset.class_names.fget(MultiViewDataset(tiny_dataset))  # type: ignore[attr-defined]
+    monkeypatch.setattr(MultiViewDataset, "class_names", property(lambda _: (*names, "nowhere")))
+    module = make_module(tiny_dataset, tiny_pretraining_recipe)
+    torch.nn.init.constant_(module.field.semantic_head.bias[-1:], -1e4)
+    for frame in module._dataset.split("validation"):
+        module.validation_step(int(frame), 0)
+    module.on_validation_epoch_end()
+    assert module.class_iou["nowhere"] is None
+    known = [value for name, value in module.class_iou.items() if name in names and value is not None]
+    assert module.validation["miou"] == pytest.approx(sum(known) / len(known))
+    json.dumps({"class_iou": module.class_iou, **module.validation}, allow_nan=False)
+    assert describe_iou(module.class_iou["nowhere"]) == "unknown"
 
 
 def test_the_learning_rate_rises_and_then_falls_along_a_cosine(
