@@ -20,22 +20,25 @@ from nerf_rl.datasets.workspace import Workspace
 from nerf_rl.errors import UnknownNameError
 
 _CENTRE, _DISTANCE = (0.0, 0.68, 0.12), 0.9  # [m] of the table's part where things are, and from where cameras see it
+_PLACES = ("body_pos", "body_quat", "site_pos")  # of the model, what a task or a stored state may move
 _FIRST_OBJECT = {"drawer-open-v3": "handle", "drawer-close-v3": "handle", "door-open-v3": "handle"}
 
 
 class SeededMetaWorld(gymnasium.Wrapper):
-    """A Meta-World environment whose ``reset(seed=...)`` works and whose first observation is true.
+    """A Meta-World environment whose ``reset(seed=...)`` decides the whole episode and whose observations are true.
 
-    Three things differ from the bare environment: a seed given to ``reset`` seeds the drawing of object positions
-    (Meta-World ignores it), the reset is done once instead of twice, and positions are propagated after the reset has
-    moved bodies of the model, so that the first observation and the first picture show where the objects are.
+    Three things differ from the bare environment. A seed given to ``reset`` seeds the drawing of object positions
+    (Meta-World ignores it). Nothing of the episode before is left: Meta-World lets the hand settle among the objects of
+    that one, moves bodies of the model only then, and reads some positions before they follow. And positions are
+    propagated after the reset, so that the first observation and the first picture show where the objects are.
     """
 
     def __init__(self, task: str):
-        env = ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE[f"{task}-goal-observable"](seed=0)
+        env: Any = ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE[f"{task}-goal-observable"](seed=0)
         env.seeded_rand_vec = True
         env._freeze_rand_vec = False
         super().__init__(env)
+        self._places = {name: getattr(env.model, name).copy() for name in _PLACES}
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[ndarray, dict]:
         """Start an episode; with the same seed, the same episode."""
@@ -43,10 +46,30 @@ class SeededMetaWorld(gymnasium.Wrapper):
         if seed is not None:
             env.seed(seed)
         env.curr_path_length = 0
+        self._place_bodies()
         MujocoEnv.reset(env)
         mujoco.mj_forward(env.model, env.data)
         env._prev_obs = env._get_curr_obs_combined_no_goal()
         return env._get_obs().astype(np.float64), {}
+
+    def _place_bodies(self) -> None:
+        """Move the bodies of the model to where the episode has them, for the reset to begin with.
+
+        Only Meta-World's own reset knows the places, and moves them at its end. So it is run here with the same draws,
+        without the simulation, which takes nearly all of its time.
+        """
+        env: Any = self.env
+        for name, places in self._places.items():
+            getattr(env.model, name)[:] = places
+        mujoco.mj_resetData(env.model, env.data)
+        mujoco.mj_forward(env.model, env.data)
+        draws = env.np_random.bit_generator.state
+        env.do_simulation = lambda ctrl, n_frames: None
+        try:
+            env.reset_model()
+        finally:
+            del env.do_simulation
+            env.np_random.bit_generator.state = draws
 
     def step(self, action: ndarray) -> tuple[ndarray, float, bool, bool, dict]:
         """Act for one step of 0.0125 s x 5."""
