@@ -92,7 +92,7 @@ class MultiViewRenderer:
         """Render colours, depth and geom ids.
 
         Args:
-            data: the state, with positions propagated (after ``mj_step`` or ``mj_forward``).
+            data: the state, with positions propagated; :class:`ShownState` gives it at any time.
             intrinsics: K [pixels], with square pixels and a centred principal point.
             camera_from_world: poses.
         """

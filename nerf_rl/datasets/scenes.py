@@ -1,5 +1,6 @@
 """Scenes: a MuJoCo environment with named state columns, found by name."""
 
+import functools
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from numpy import ndarray
 
 from nerf_rl.datasets.body_parts import BodyParts
 from nerf_rl.datasets.rig_config import CameraConfig
+from nerf_rl.datasets.shown_state import ShownState
 from nerf_rl.datasets.workspace import Workspace
 from nerf_rl.errors import UserError
 
@@ -50,7 +52,11 @@ class Scene(ABC):
 
     def shown(self) -> mujoco.MjData:
         """Return the state to be drawn, with positions propagated from ``qpos``; the simulation is untouched."""
-        return self.data
+        return self._shown.of(self.data)
+
+    @functools.cached_property
+    def _shown(self) -> ShownState:
+        return ShownState(self.model)
 
     @abstractmethod
     def proprio(self, observation: Any) -> Float[ndarray, "P"]:

@@ -3,7 +3,6 @@
 import dataclasses
 from typing import Any
 
-import mujoco
 from jaxtyping import Float
 from numpy import ndarray
 
@@ -22,24 +21,7 @@ class StructuredScene(Scene):
         self.parts = find_parts(self.model)
         self._columns = StateColumns(self.model, self.parts)
         self.proprio_names, self.privileged_names = self._columns.proprio_names, self._columns.privileged_names
-        self._shown = mujoco.MjData(self.model)
         self._workspace = self._fit_workspace()
-
-    def shown(self) -> mujoco.MjData:
-        """Return the state as it is to be drawn.
-
-        After ``mj_step`` MuJoCo's positions are those of one substep ago; a copy is propagated, because environments
-        may read the old ones in their next step.
-        """
-        shown, data = self._shown, self.data
-        shown.qpos[:], shown.qvel[:], shown.time = data.qpos, data.qvel, data.time
-        shown.mocap_pos[:], shown.mocap_quat[:] = data.mocap_pos, data.mocap_quat
-        mujoco.mj_kinematics(self.model, shown)
-        mujoco.mj_comPos(self.model, shown)
-        mujoco.mj_camlight(self.model, shown)
-        mujoco.mj_flex(self.model, shown)
-        mujoco.mj_tendon(self.model, shown)
-        return shown
 
     def proprio(self, observation: Any) -> Float[ndarray, "P"]:
         """Return positions and velocities of the robot's joints."""

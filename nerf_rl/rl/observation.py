@@ -12,13 +12,15 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from nerf_rl.datasets.renderer import MultiViewRenderer
+from nerf_rl.datasets.shown_state import ShownState
 from nerf_rl.pretrain.encoder import Encoder
 
 
 class LatentObservation(gymnasium.ObservationWrapper):
     """Replaces an environment's observation by [standardised latent, proprioception], float32.
 
-    The cameras, their resolution and the rendering quality are those of the encoder's artefact: nothing else is needed.
+    The cameras, their resolution and the rendering quality are those of the encoder's artefact, and they see the state
+    as a dataset shows it: nothing else is needed.
 
         encoder = Encoder.load("runs/encoder")
         env = LatentObservation(env, encoder, proprio=lambda observation: observation[:4])
@@ -43,6 +45,7 @@ class LatentObservation(gymnasium.ObservationWrapper):
         self.encoder = Encoder.load(Path(encoder)) if isinstance(encoder, (str, Path)) else encoder
         self._proprio = proprio
         self._renderer: MultiViewRenderer | None = None
+        self._shown: ShownState | None = None
         self._projections = torch.as_tensor(self.encoder.rig.projections, dtype=torch.float32)[None]
         box = env.observation_space
         example = np.zeros(box.shape or (), box.dtype)
@@ -71,8 +74,9 @@ class LatentObservation(gymnasium.ObservationWrapper):
     def _render(self) -> UInt8[ndarray, "V H W 3"]:
         simulation: Any = self.env.unwrapped
         rig = self.encoder.rig
-        if self._renderer is None:  # created late, in the process that renders
+        if self._renderer is None or self._shown is None:  # created late, in the process that renders
+            self._shown = ShownState(simulation.model)
             self._renderer = MultiViewRenderer(
                 simulation.model, rig.height, rig.width, len(rig.names), self.encoder.quality, self.encoder.detail
             )
-        return self._renderer.render_rgb(simulation.data, rig.intrinsics, rig.camera_from_world)
+        return self._renderer.render_rgb(self._shown.of(simulation.data), rig.intrinsics, rig.camera_from_world)

@@ -110,7 +110,7 @@ class _Camera:
             return cv2.resize(square, (self._size, self._size), interpolation=cv2.INTER_AREA)
         intrinsics = intrinsics_from_fovy(45.0, self._size, self._size)[None]
         pose = look_at(np.array([0.0, 0.68, 0.12]), 1.1, 25.0, -30.0)[None]
-        return self._renderer.render_rgb(self._scene.data, intrinsics, pose)[0]
+        return self._renderer.render_rgb(self._scene.shown(), intrinsics, pose)[0]
 
     def close(self) -> None:
         """Release the renderer."""
