@@ -31,6 +31,22 @@ def use_one_software_thread() -> None:
     os.environ.setdefault("LP_NUM_THREADS", "0")
 
 
+def renderer_name() -> str:
+    """Return the name that the implementation behind the current OpenGL context has for itself."""
+    from OpenGL import GL  # after mujoco, which tells it the backend
+
+    return GL.glGetString(GL.GL_RENDERER).decode()
+
+
+def largest_image() -> tuple[int, int]:
+    """Return height and width of the largest off-screen image that the current OpenGL context can draw to [pixels]."""
+    from OpenGL import GL
+
+    side = int(GL.glGetIntegerv(GL.GL_MAX_RENDERBUFFER_SIZE))
+    width, height = GL.glGetIntegerv(GL.GL_MAX_VIEWPORT_DIMS)
+    return min(side, int(height)), min(side, int(width))
+
+
 def is_software(renderer: str) -> bool:
     """Tell whether an OpenGL implementation, by its name for itself, renders on the processor."""
     return any(name in renderer.lower() for name in _SOFTWARE_RENDERERS)

@@ -1,7 +1,8 @@
 """Multi-view rendering: RGB, depth and labels of one simulation state from many cameras, in few passes.
 
-All views are tiles of one off-screen image, which is read back once. Depth comes out of the colour pass, labels out of
-a second one in which each geom has its own colour. Sites are not drawn, since goal markers would give the goal away.
+All views are tiles of one off-screen image, which is read back once; only if that would be larger than OpenGL allows do
+they take turns. Depth comes out of the label pass, in which each geom has its own colour, colours out of a second one.
+Sites are not drawn, since goal markers would give the goal away.
 """
 
 import copy
@@ -15,6 +16,8 @@ from numpy import ndarray
 from nerf_rl.cameras import camera_position
 from nerf_rl.datasets.culling import FrustumCulling
 from nerf_rl.datasets.level_of_detail import simplify_meshes
+from nerf_rl.datasets.offscreen_target import OffscreenTarget
+from nerf_rl.gl import renderer_name
 
 _HIDDEN_GROUP = 5  # of geoms; not drawn by default
 _FULL_SHADOW_MAP = 4096
@@ -43,6 +46,9 @@ class MultiViewRenderer:
             with meshes simplified for the images).
         detail: pixels that a metre takes where a camera is nearest to what it shows, which decides how far meshes are
             simplified; none: as for a camera with a field of view of 45 degrees, 0.7 m away.
+
+    Raises:
+        UserError: a view is larger than OpenGL can draw.
     """
 
     def __init__(
@@ -57,12 +63,11 @@ class MultiViewRenderer:
         self._model, self._height, self._width, self._views = model, height, width, views
         self.detail = height * _USUAL_DETAIL if detail is None else detail
         drawn = simplify_meshes(model, height, self.detail) if quality == "fast" else copy.deepcopy(model)
-        self._plain = _OffscreenTarget(drawn, views * height, width, shadow_map=0, samples=0)
+        self._plain = OffscreenTarget(drawn, height, width, views, shadow_map=0, samples=0)
         self._fine = (
-            _OffscreenTarget(drawn, views * height, width, _FULL_SHADOW_MAP, _FULL_SAMPLES)
-            if quality == "full"
-            else None
+            OffscreenTarget(drawn, height, width, views, _FULL_SHADOW_MAP, _FULL_SAMPLES) if quality == "full" else None
         )
+        self._at_once = self._plain.tiles if self._fine is None else min(self._plain.tiles, self._fine.tiles)
         self._option = mujoco.MjvOption()
         self._option.sitegroup[:] = 0
         self._camera, self._perturb = mujoco.MjvCamera(), mujoco.MjvPerturb()
@@ -72,16 +77,14 @@ class MultiViewRenderer:
         self.far = float(model.vis.map.zfar * model.stat.extent)
         self._culling = FrustumCulling(model, height, width, self._near)
         self._target = self._plain  # what was drawn to last
-        self._rgb = np.empty((views * height, width, 3), np.uint8)
-        self._buffer_depth = np.empty((views * height, width), np.float32)
+        self._rgb = np.empty((self._at_once * height, width, 3), np.uint8)
+        self._buffer_depth = np.empty((self._at_once * height, width), np.float32)
 
     @property
     def gl_renderer(self) -> str:
         """The OpenGL implementation's name for itself."""
-        from OpenGL import GL
-
         self._plain.make_current()
-        return GL.glGetString(GL.GL_RENDERER).decode()
+        return renderer_name()
 
     def render(
         self,
@@ -96,6 +99,38 @@ class MultiViewRenderer:
             intrinsics: K [pixels], with square pixels and a centred principal point.
             camera_from_world: poses.
         """
+        turns = self._turns(intrinsics, camera_from_world)
+        rendered = [self._render_at_once(data, *cameras) for cameras in turns]
+        return rendered[0] if len(rendered) == 1 else Views(*map(np.concatenate, zip(*rendered, strict=True)))
+
+    def render_rgb(
+        self,
+        data: mujoco.MjData,
+        intrinsics: Float[ndarray, "V 3 3"],
+        camera_from_world: Float[ndarray, "V 4 4"],
+    ) -> UInt8[ndarray, "V H W 3"]:
+        """Render colours alone, the same as in :meth:`render`."""
+        turns = self._turns(intrinsics, camera_from_world)
+        rendered = [self._colours(data, *cameras, self._culling.outside(data, *cameras)) for cameras in turns]
+        return rendered[0] if len(rendered) == 1 else np.concatenate(rendered)
+
+    def close(self) -> None:
+        """Free the OpenGL resources."""
+        for target in (self._plain, self._fine):
+            if target is not None:
+                target.close()
+
+    def _turns(
+        self, intrinsics: Float[ndarray, "V 3 3"], camera_from_world: Float[ndarray, "V 4 4"]
+    ) -> list[tuple[ndarray, ndarray]]:
+        """Divide cameras into as many as are drawn at once."""
+        count = len(intrinsics)
+        if count > self._views:
+            raise ValueError(f"this renderer was made for {self._views} views, got {count}")
+        turns = [slice(first, first + self._at_once) for first in range(0, count, self._at_once)]
+        return [(intrinsics[turn], camera_from_world[turn]) for turn in turns]
+
+    def _render_at_once(self, data: mujoco.MjData, intrinsics: ndarray, camera_from_world: ndarray) -> Views:
         hidden = self._culling.outside(data, intrinsics, camera_from_world)
         drawn = self._draw(self._plain, data, intrinsics, camera_from_world, hidden, labels=True)
         colours = self._read(len(intrinsics), depth=True)
@@ -108,22 +143,6 @@ class MultiViewRenderer:
         rgb = self._colours(data, intrinsics, camera_from_world, hidden)
         return Views(rgb, depth.astype(np.float32), labels)
 
-    def render_rgb(
-        self,
-        data: mujoco.MjData,
-        intrinsics: Float[ndarray, "V 3 3"],
-        camera_from_world: Float[ndarray, "V 4 4"],
-    ) -> UInt8[ndarray, "V H W 3"]:
-        """Render colours alone, the same as in :meth:`render`."""
-        hidden = self._culling.outside(data, intrinsics, camera_from_world)
-        return self._colours(data, intrinsics, camera_from_world, hidden)
-
-    def close(self) -> None:
-        """Free the OpenGL resources."""
-        for target in (self._plain, self._fine):
-            if target is not None:
-                target.close()
-
     def _colours(
         self, data: mujoco.MjData, intrinsics: ndarray, camera_from_world: ndarray, hidden: Bool[ndarray, "V G"]
     ) -> UInt8[ndarray, "V H W 3"]:
@@ -135,7 +154,7 @@ class MultiViewRenderer:
 
     def _draw(
         self,
-        target: "_OffscreenTarget",
+        target: OffscreenTarget,
         data: mujoco.MjData,
         intrinsics: ndarray,
         camera_from_world: ndarray,
@@ -143,16 +162,13 @@ class MultiViewRenderer:
         labels: bool = False,
     ) -> list["_DrawnGeoms"]:
         """Draw all views without the geoms hidden from them; for labels, tell what each colour is."""
-        count = len(intrinsics)
-        if count > self._views:
-            raise ValueError(f"this renderer was made for {self._views} views, got {count}")
         target.make_current()
         self._target = target
         flags = self._scene.flags
         flags[mujoco.mjtRndFlag.mjRND_SHADOW] = flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = target.has_shadows
         flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = labels
         drawn = []
-        for view in range(count):
+        for view in range(len(intrinsics)):
             self._update_scene(data, intrinsics[view], camera_from_world[view], hidden[view])
             tile = mujoco.MjrRect(0, view * self._height, self._width, self._height)
             mujoco.mjr_render(tile, self._scene, target.context)
@@ -224,33 +240,3 @@ def _shown(labels: Int32[ndarray, "V H W"], geoms: int) -> Bool[ndarray, "V geom
     first = np.arange(len(labels), dtype=np.int32)[:, None, None] * (geoms + 1)
     counts = np.bincount((labels + 1 + first).ravel(), minlength=len(labels) * (geoms + 1))
     return counts.reshape(len(labels), geoms + 1)[:, 1:] > 0
-
-
-class _OffscreenTarget:
-    """An OpenGL context with an off-screen buffer, and the model's meshes and textures in it."""
-
-    def __init__(self, model: mujoco.MjModel, height: int, width: int, shadow_map: int, samples: int):
-        self.has_shadows = shadow_map > 0
-        visual, size = model.vis, (model.vis.global_.offwidth, model.vis.global_.offheight)
-        quality = (visual.quality.shadowsize, visual.quality.offsamples)
-        visual.global_.offwidth, visual.global_.offheight = width, height
-        visual.quality.shadowsize, visual.quality.offsamples = shadow_map, samples  # read when the context is made
-        self._gl: mujoco.GLContext | None = mujoco.GLContext(width, height)
-        self._gl.make_current()
-        self.context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-        visual.global_.offwidth, visual.global_.offheight = size
-        visual.quality.shadowsize, visual.quality.offsamples = quality
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self.context)
-        self.context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR  # keeps float precision far away
-
-    def make_current(self) -> None:
-        if self._gl is None:
-            raise RuntimeError("the renderer is closed")
-        self._gl.make_current()
-
-    def close(self) -> None:
-        if self._gl is not None:
-            self._gl.make_current()
-            self.context.free()
-            self._gl.free()
-            self._gl = None
