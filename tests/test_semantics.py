@@ -10,6 +10,7 @@ from nerf_rl.datasets.body_parts import BodyParts, find_parts, named_parts
 from nerf_rl.datasets.config import ClassConfig
 from nerf_rl.datasets.scenes import Scene
 from nerf_rl.datasets.semantics import geom_path, palette, semantic_classes
+from nerf_rl.datasets.state_columns import StateColumns
 from nerf_rl.errors import UserError
 
 CABINET = """
@@ -148,3 +149,67 @@ def test_tendons_sites_and_bodies_that_actuators_pull_make_a_robot_too():
         <actuator><motor tendon="t"/><motor site="s"/><adhesion body="by_body" ctrlrange="0 1"/></actuator></mujoco>"""
     )
     assert [model.body(body).name for body in find_parts(model).robot] == ["by_tendon", "by_site", "by_body"]
+
+
+LED = """<mujoco><worldbody>
+  <geom name="floor" type="plane" size="1 1 1"/>
+  <body name="robot0:mocap" mocap="true"/>
+  <body name="robot0:base_link"><joint name="slide" type="slide"/><geom name="foot" size="0.1"/>
+    <body name="robot0:shoulder_link"><joint name="shoulder"/><geom name="upper" size="0.1"/>
+      <body name="robot0:elbow_link"><joint name="elbow"/><geom name="lower" size="0.1"/>
+        <body name="robot0:gripper_link"><geom name="palm" size="0.1"/><site name="tip"/>
+          <body name="robot0:l_finger_link"><joint name="left" type="slide"/><geom name="l" size="0.1"/></body>
+          <body name="robot0:r_finger_link"><joint name="right" type="slide"/><geom name="r" size="0.1"/></body>
+        </body></body></body></body>
+  <body name="object0"><freejoint/><geom name="cube" size="0.1"/></body>
+  <body name="door"><joint name="hinge"/><geom name="panel" size="0.1"/></body>
+  </worldbody><equality>{equality}</equality>{rest}</mujoco>"""
+WELD = '<weld body1="robot0:mocap" body2="robot0:gripper_link"/>'
+FINGERS = '<actuator><position joint="left"/><position joint="right"/></actuator>'
+SITES = """<worldbody><body name="leader" mocap="true"><site name="lead"/></body></worldbody>"""
+
+
+@pytest.mark.parametrize(
+    "equality, rest",
+    [
+        (WELD, ""),
+        (WELD, FINGERS),
+        ('<weld body1="robot0:gripper_link" body2="robot0:mocap"/>', ""),
+        ('<connect body1="robot0:mocap" body2="robot0:elbow_link" anchor="0 0 0"/>', ""),
+        ('<weld site1="lead" site2="tip"/>', SITES),
+        (WELD + '<weld body1="object0" body2="door"/>', ""),
+        ("", FINGERS),
+    ],
+)
+def test_an_arm_that_is_led_by_a_mocap_body_is_one_robot_with_a_gripper(equality: str, rest: str):
+    model = mujoco.MjModel.from_xml_string(LED.format(equality=equality, rest=rest))
+    found = find_parts(model)
+    assert [model.body(body).name for body in found.robot] == ["robot0:base_link"]
+    classes = {path.rpartition("/")[2]: name for path, name in class_of(model, found).items()}
+    assert classes == {
+        "floor": "background",
+        **dict.fromkeys(("foot", "upper", "lower"), "robot"),
+        **dict.fromkeys(("palm", "l", "r"), "gripper"),
+        "cube": "object0",
+        "panel": "door",
+    }
+    columns = StateColumns(model, found)
+    assert columns.proprio_names[:5] == ("slide", "shoulder", "elbow", "left", "right")
+    assert {name[:-2] for name in columns.privileged_names} == {
+        "robot0:base",
+        "robot0:gripper",
+        "object0",
+        "door",
+    }
+
+
+@pytest.mark.parametrize(
+    "equality",
+    [
+        '<weld body1="robot0:mocap" body2="object0" active="false"/>',
+        '<weld body1="object0" body2="door"/>',
+        '<joint joint1="hinge" joint2="left"/>',
+    ],
+)
+def test_constraints_that_no_mocap_body_leads_make_no_robot(equality: str):
+    assert find_parts(mujoco.MjModel.from_xml_string(LED.format(equality=equality, rest=""))).robot == ()

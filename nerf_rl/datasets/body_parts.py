@@ -17,7 +17,7 @@ class BodyParts(NamedTuple):
     """Ids of bodies; what is below a body belongs to it."""
 
     robot: tuple[int, ...] = ()
-    """roots of the trees that are moved by actuators"""
+    """roots of the trees that are moved by actuators, or led by a mocap body"""
     gripper: tuple[int, ...] = ()
     """bodies that the robot grasps with"""
     surroundings: tuple[int, ...] = ()
@@ -27,10 +27,12 @@ class BodyParts(NamedTuple):
 def find_parts(model: mujoco.MjModel) -> BodyParts:
     """Return the parts of any model.
 
-    Trees with an actuator are robots. Within them, the bodies nearest to the root with a name of a gripper (hand,
+    Trees with an actuator are robots, and so are those that a weld or a connection ties to a mocap body: many arms are
+    led by their hand. Within them, the bodies nearest to the root with a name of a gripper (hand,
     finger, ...) are grippers. Fixed trees with a name of furniture or of a room's parts are surroundings.
     """
-    robot = sorted({int(model.body_rootid[body]) for body in actuated_bodies(model)} - {0})
+    driven = actuated_bodies(model) | led_bodies(model)
+    robot = sorted({int(model.body_rootid[body]) for body in driven} - {0})
     gripper: list[int] = []
     for body in range(1, model.nbody):  # parents come before children
         inside = int(model.body_rootid[body]) in robot and body not in robot
@@ -80,6 +82,22 @@ def actuated_bodies(model: mujoco.MjModel) -> set[int]:
                     bodies.add(int(model.jnt_bodyid[thing]))
                 elif model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_SITE:
                     bodies.add(int(model.site_bodyid[thing]))
+    return bodies
+
+
+def led_bodies(model: mujoco.MjModel) -> set[int]:
+    """Return the ids of the bodies that an equality constraint, active from the start, lets follow a mocap body."""
+    bodies: set[int] = set()
+    for constraint in range(model.neq):
+        ties = model.eq_type[constraint] in (mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_CONNECT)
+        if not (ties and model.eq_active0[constraint]):
+            continue
+        tied = [int(model.eq_obj1id[constraint]), int(model.eq_obj2id[constraint])]
+        if model.eq_objtype[constraint] == mujoco.mjtObj.mjOBJ_SITE:
+            tied = [int(model.site_bodyid[site]) for site in tied]
+        leads = [bool(model.body_mocapid[model.body_rootid[body]] >= 0) for body in tied]
+        if any(leads):
+            bodies |= {body for body, lead in zip(tied, leads, strict=True) if not lead}
     return bodies
 
 
