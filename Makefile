@@ -1,4 +1,5 @@
 # make demo    set up, then the whole chain on drawer-open, ending in runs/demo/report.html
+# make demo-quick    the same at a tenth of its size, in two minutes or so; its agent has not learnt anything
 # make test    set up, then all tests
 # make test-browser    set up with Chromium, then the tests that look at the viewer in it
 # make paper   set up, then the paper's experiments (hours); ends in the tables of rl/README.md
@@ -8,16 +9,22 @@ SHELL := /bin/sh
 BIN := .venv/bin
 READY := .venv/ready-$(firstword $(shell cksum pyproject.toml))
 
-DATA := data/demo
-ENCODER := runs/demo/encoder
-AGENT := runs/demo/agent
-REPORT := runs/demo/report.html
+# What `make demo` writes, and keys of its stages that differ from its recipes
+DEMO := demo
+DATA := data/$(DEMO)
+ENCODER := runs/$(DEMO)/encoder
+AGENT := runs/$(DEMO)/agent
+REPORT := runs/$(DEMO)/report.html
+DATA_KEYS :=
+ENCODER_KEYS :=
+AGENT_KEYS :=
+REPORT_KEYS :=
 
-.PHONY: help setup demo paper format check test test-browser build clean
+.PHONY: help setup demo demo-quick paper format check test test-browser build clean
 .DELETE_ON_ERROR:
 
 help:
-	@sed -n 's/^# //p' Makefile | head -5
+	@sed -n 's/^# //p' Makefile | head -6
 
 setup: $(READY)
 
@@ -33,19 +40,27 @@ define stage
 endef
 
 demo: $(REPORT)
-	@echo "Open $(REPORT). To start over: rm -r $(DATA) runs/demo"
+	@echo "Open $(REPORT). To start over: rm -r $(DATA) runs/$(DEMO)"
+
+# The demo's own recipes; only frames, steps and what is measured at the end are fewer.
+demo-quick: $(READY)
+	rm -rf data/demo-quick runs/demo-quick
+	$(MAKE) demo DEMO=demo-quick DATA_KEYS="--episodes 90 --episodes_per_shard 15" \
+		ENCODER_KEYS="--steps 320 --steps_per_epoch 100 --validation_frames 2 $(ENCODER_KEYS)" \
+		AGENT_KEYS="--env_steps 3000 --warmup_steps 700 --final_evaluation_episodes 2" \
+		REPORT_KEYS="--episodes 1"
 
 $(DATA)/summary.json: | $(READY)
-	$(call stage,gen-dataset,--config datasets/demo.yaml --out $(DATA) --resume true)
+	$(call stage,gen-dataset,--config datasets/demo.yaml --out $(DATA) --resume true $(DATA_KEYS))
 
 $(ENCODER)/summary.json: | $(DATA)/summary.json
-	$(call stage,pretrain,--config pretrain/demo.yaml --data $(DATA) --out $(ENCODER) --resume true)
+	$(call stage,pretrain,--config pretrain/demo.yaml --data $(DATA) --out $(ENCODER) --resume true $(ENCODER_KEYS))
 
 $(AGENT)/summary.json: | $(ENCODER)/summary.json
-	$(call stage,train-rl,--config rl/demo.yaml --encoder $(ENCODER) --out $(AGENT) --resume true)
+	$(call stage,train-rl,--config rl/demo.yaml --encoder $(ENCODER) --out $(AGENT) --resume true $(AGENT_KEYS))
 
 $(REPORT): $(DATA)/summary.json $(ENCODER)/summary.json $(AGENT)/summary.json
-	$(call stage,report,--data $(DATA) --encoder $(ENCODER) --agent $(AGENT) --out $(REPORT))
+	$(call stage,report,--data $(DATA) --encoder $(ENCODER) --agent $(AGENT) --out $(REPORT) $(REPORT_KEYS))
 
 # What is finished is skipped: an interrupted `make paper` goes on where it stopped.
 paper: $(READY)
