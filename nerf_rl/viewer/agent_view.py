@@ -13,6 +13,7 @@ from nerf_rl.viewer.agent_pictures import decoded_views, learning_charts
 from nerf_rl.viewer.columns_panel import ColumnsPanel
 from nerf_rl.viewer.field_panel import FieldPanel
 from nerf_rl.viewer.newest import NewestOnly
+from nerf_rl.viewer.node_names import node_name
 from nerf_rl.viewer.playback import Playback
 from nerf_rl.viewer.scene_panel import field_of_view, frustum_pose, look_through
 
@@ -128,7 +129,7 @@ class AgentView:
             if len(self._frusta) <= i:
                 wxyz, position = frustum_pose(rig.camera_from_world[i])
                 frustum = self.server.scene.add_camera_frustum(
-                    f"/cameras/{name}",
+                    node_name("cameras", name),
                     fov=field_of_view(rig.intrinsics[i], rig.height),
                     aspect=rig.width / rig.height,
                     scale=0.09,

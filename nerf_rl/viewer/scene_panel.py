@@ -10,6 +10,7 @@ from nerf_rl.cameras import camera_position
 from nerf_rl.datasets.frames import Frame
 from nerf_rl.datasets.point_cloud import COLOURINGS, PointCloud, fuse_views
 from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.viewer.node_names import node_name
 from nerf_rl.viewer.pictures import depth_limits
 
 _FRUSTUM_SCALE = 0.09  # depth of a frustum [m]
@@ -75,8 +76,10 @@ class ScenePanel:
         for i, (name, position) in enumerate(frame.points.items()):
             if name not in self._points:
                 colour = [(240, 60, 60), (60, 160, 60), (200, 160, 0), (140, 60, 200)][i % 4]
-                self._points[name] = self._server.scene.add_icosphere(f"/state/{name}", radius=0.008, color=colour)
-                self._labels[name] = self._server.scene.add_label(f"/names/{name}", name)
+                self._points[name] = self._server.scene.add_icosphere(
+                    node_name("points", name), radius=0.008, color=colour
+                )
+                self._labels[name] = self._server.scene.add_label(node_name("point names", name), name)
             self._points[name].position = self._labels[name].position = position
 
     def _show_cloud(self, frame: Frame) -> None:
@@ -99,7 +102,7 @@ class ScenePanel:
         for view, camera in enumerate(self._dataset.manifest["cameras"]):
             fov = field_of_view(frame.intrinsics[view], height)
             frustum = self._server.scene.add_camera_frustum(
-                f"/cameras/{camera['name']}",
+                node_name("cameras", camera["name"]),
                 fov=fov,
                 aspect=width / height,
                 scale=_FRUSTUM_SCALE,
@@ -108,7 +111,8 @@ class ScenePanel:
                 color=_FRUSTUM_COLOURS.get(camera["role"], (120, 120, 120)),
                 image=frame.rgb[view],
             )
-            self._names.append(self._server.scene.add_label(f"/names/{camera['name']}", camera["name"]))
+            label = self._server.scene.add_label(node_name("camera names", camera["name"]), camera["name"])
+            self._names.append(label)
             frustum.on_click(lambda event, frustum=frustum: look_through(event, frustum))
             self._frusta.append(frustum)
 
