@@ -29,6 +29,8 @@ class Frame:
     """planar [m]"""
     intrinsics: Float[ndarray, "V 3 3"]
     camera_from_world: Float[ndarray, "V 4 4"]
+    far: float
+    """depth where nothing is hit [m]"""
     points: dict[str, tuple[float, float, float]]
     """named positions of the true state [m], such as hand and handle"""
 
@@ -61,6 +63,7 @@ def read_frame(dataset: MultiViewDataset, index: int) -> Frame:
         row("depth").astype(np.float32),
         intrinsics,
         poses[0],
+        float(dataset.manifest["far"]),
         named_points(dataset.columns("privileged"), row("state/privileged")),
     )
 

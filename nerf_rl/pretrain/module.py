@@ -195,6 +195,11 @@ class SnerlModule(lightning.LightningModule):
         """Colours of the semantic classes, u8 [C, 3]."""
         return self._dataset.palette
 
+    @property
+    def far(self) -> float:
+        """Depth of the dataset's far plane [m]."""
+        return float(self._dataset.manifest["far"])
+
     def truth(self, frame: int) -> dict[str, np.ndarray]:
         """Return colours in [0, 1], labels and depth of a frame from the encoder's cameras."""
         views = self._dataset.views("encoder")

@@ -5,7 +5,7 @@ import torch
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from nerf_rl.images import colour_depth, colour_labels
+from nerf_rl.images import colour_depth, colour_labels, surface_limits
 from nerf_rl.pretrain.config import SamplingConfig
 from nerf_rl.pretrain.encoder_rig import EncoderRig
 from nerf_rl.pretrain.field import RadianceField
@@ -36,14 +36,17 @@ def decoded_clip(
     """
     half = view.shape[1] // 2
     chosen = slice(camera, camera + 1)
-    frames = []
-    for seen, image, latent in zip(view, images[:, camera], torch.from_numpy(latents), strict=True):
+    decoded = []
+    for latent in torch.from_numpy(latents):
         pose = rig.camera_from_world[chosen]
-        decoded = render_images(field, latent, rig.intrinsics[chosen], pose, rig.height, rig.width, _SAMPLING)
-        colours = (255 * decoded.rgb[0]).round().astype(np.uint8)
-        depth = colour_depth(decoded.depth[0], field.bounds.near, field.bounds.far)
+        decoded.append(render_images(field, latent, rig.intrinsics[chosen], pose, rig.height, rig.width, _SAMPLING))
+    limits = surface_limits(np.stack([images.depth for images in decoded]), field.bounds.far)
+    frames = []
+    for seen, image, rendered in zip(view, images[:, camera], decoded, strict=True):
+        colours = (255 * rendered.rgb[0]).round().astype(np.uint8)
+        depth = colour_depth(rendered.depth[0], *limits)
         left = np.concatenate([_scaled(image, half), _scaled(colours, half)])
-        right = np.concatenate([_scaled(colour_labels(decoded.semantic[0], palette), half), _scaled(depth, half)])
+        right = np.concatenate([_scaled(colour_labels(rendered.semantic[0], palette), half), _scaled(depth, half)])
         frames.append(np.concatenate([seen[: 2 * half], left, right], axis=1))
     return np.stack(frames)
 

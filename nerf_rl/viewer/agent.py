@@ -1,6 +1,7 @@
 """A trained agent to look at: its learning curves, and episodes acted on demand."""
 
 import csv
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,12 @@ import torch
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
+from nerf_rl.images import surface_limits
 from nerf_rl.pretrain.artefact import read_description
 from nerf_rl.pretrain.encoder import Encoder
 from nerf_rl.pretrain.field import RadianceField
 from nerf_rl.pretrain.folded_field import FoldedField
+from nerf_rl.pretrain.rendering import RenderedImages
 from nerf_rl.rl.episodes import evaluation_seeds
 from nerf_rl.rl.policy import Policy
 from nerf_rl.rl.rollout import Rollout, rollout
@@ -68,6 +71,7 @@ class Agent:
                 self.field = RadianceField.load(folder).requires_grad_(False)
                 self.palette = np.array(description["palette"], np.uint8)
                 self.class_names = description["classes"]
+        self._depth_range: tuple[float, float] | None = None
         self._acted: dict[int, ActedEpisode] = {}
 
     def act(self, number: int) -> ActedEpisode:
@@ -84,6 +88,17 @@ class Agent:
         if self.field is None or episode.rollout.latents is None:
             return None
         return FoldedField(self.field, torch.from_numpy(episode.rollout.latents[step]))
+
+    def depth_range(self, decoded: Sequence[RenderedImages]) -> tuple[float, float]:
+        """Return limits [m] for the colours of decoded depth.
+
+        Args:
+            decoded: from the encoder's cameras; the first ones decide, so that colours mean the same in all pictures.
+        """
+        if self._depth_range is None:
+            assert self.field is not None
+            self._depth_range = surface_limits(np.stack([view.depth for view in decoded]), self.field.bounds.far)
+        return self._depth_range
 
     def evaluations(self) -> list[dict[str, Any]]:
         """Return the evaluations of training; none if it has not ended."""

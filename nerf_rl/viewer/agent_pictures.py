@@ -1,6 +1,6 @@
 """Pictures of an agent: learning curves with intervals, and what its latent decodes to."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy import ndarray
 from nerf_rl.images import colour_depth, colour_labels
 from nerf_rl.pretrain.encoder_rig import EncoderRig
 from nerf_rl.pretrain.folded_field import FoldedField
+from nerf_rl.pretrain.rendering import RenderedImages
 from nerf_rl.viewer.agent import ActedEpisode, Agent
 from nerf_rl.viewer.charts import lines_chart, rasterise
 from nerf_rl.viewer.pictures import caption, magnify, side_by_side, stack
@@ -31,26 +32,29 @@ def learning_charts(evaluations: list[dict[str, Any]], metrics: dict[str, ndarra
     return charts
 
 
-def decoded_views(
-    field: FoldedField, rig: EncoderRig, palette: UInt8[ndarray, "C 3"], stale: Callable[[], bool] = lambda: False
-) -> UInt8[ndarray, "A B 3"] | None:
-    """Return rows of colours, labels and depth that a field renders for the encoder's cameras.
-
-    None if a newer picture is wanted before the end.
-    """
-    near, far = field.field.bounds.near, field.field.bounds.far
-    rows: list[list[ndarray]] = [[], [], []]
-    longer = max(rig.height, rig.width)
+def decode_views(
+    field: FoldedField, rig: EncoderRig, stale: Callable[[], bool] = lambda: False
+) -> list[RenderedImages] | None:
+    """Return what a field renders for each of the encoder's cameras; None if a newer picture is wanted before."""
+    rendered, longer = [], max(rig.height, rig.width)
     for i in range(len(rig.names)):
         fovy = field_of_view(rig.intrinsics[i], rig.height)
         camera = FreeCamera(rig.camera_from_world[i], fovy, rig.width / rig.height)
         images = list(render_progressively(field, camera, max(8, longer // 2), [Picture(longer)], stale))
         if len(images) < 2:
             return None
-        rows[0].append((255 * images[-1].rgb[0]).round().astype(np.uint8))
-        rows[1].append(colour_labels(images[-1].semantic[0], palette))
-        rows[2].append(colour_depth(images[-1].depth[0], near, far))
-    return stack([side_by_side(row, 112) for row in rows])
+        rendered.append(images[-1])
+    return rendered
+
+
+def draw_decoded(
+    rendered: Sequence[RenderedImages], palette: UInt8[ndarray, "C 3"], depth_range: tuple[float, float]
+) -> UInt8[ndarray, "A B 3"]:
+    """Return rows of colours, labels and depth of decoded cameras."""
+    colours = [(255 * view.rgb[0]).round().astype(np.uint8) for view in rendered]
+    labels = [colour_labels(view.semantic[0], palette) for view in rendered]
+    depth = [colour_depth(view.depth[0], *depth_range) for view in rendered]
+    return stack([side_by_side(row, 112) for row in (colours, labels, depth)])
 
 
 def _evaluation_chart(evaluations: list[dict[str, Any]]) -> UInt8[ndarray, "A B 3"]:
@@ -75,9 +79,9 @@ def episode_slide(agent: Agent, episode: ActedEpisode, step: int) -> Slide:
         rows = [side_by_side(list(r.images[step]), 112)]
         folded = agent.folded(episode, step)
         if folded is not None and agent.encoder is not None:
-            decoded = decoded_views(folded, agent.encoder.rig, agent.palette)
+            decoded = decode_views(folded, agent.encoder.rig)
             assert decoded is not None  # nothing newer is ever wanted here
-            rows.append(decoded)
+            rows.append(draw_decoded(decoded, agent.palette, agent.depth_range(decoded)))
         parts.append(stack(rows))
     parts.insert(0, magnify(r.view[step], parts[0].shape[0] if parts else 360))
     height = max(part.shape[0] for part in parts)

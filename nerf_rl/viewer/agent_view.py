@@ -9,7 +9,7 @@ import viser.uplot
 from nerf_rl.cameras import camera_position
 from nerf_rl.datasets.frames import EpisodeColumns
 from nerf_rl.viewer.agent import ActedEpisode, Agent
-from nerf_rl.viewer.agent_pictures import decoded_views, learning_charts
+from nerf_rl.viewer.agent_pictures import decode_views, draw_decoded, learning_charts
 from nerf_rl.viewer.columns_panel import ColumnsPanel
 from nerf_rl.viewer.field_panel import FieldPanel
 from nerf_rl.viewer.newest import NewestOnly
@@ -94,8 +94,10 @@ class AgentView:
             self.server.scene.set_background_image(episode.rollout.view[step])
             return
         self.field.show(folded)
-        picture = decoded_views(folded, self.agent.encoder.rig, self.agent.palette, stale)
-        if picture is not None:
+        decoded = decode_views(folded, self.agent.encoder.rig, stale)
+        if decoded is not None:
+            self.field.depth_range = self.agent.depth_range(decoded)
+            picture = draw_decoded(decoded, self.agent.palette, self.field.depth_range)
             self._put("what the latent decodes to: colours, labels, depth", picture)
 
     def _show_numbers(self, episode: ActedEpisode, step: int) -> None:

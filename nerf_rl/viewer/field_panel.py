@@ -52,10 +52,13 @@ class FieldPanel:
         server: to draw on.
         palette: colours of the classes.
         depth_range: limits of depth's colours [m].
+
+    Attributes:
+        depth_range: of the pictures from now on.
     """
 
     def __init__(self, server: viser.ViserServer, palette: UInt8[ndarray, "C 3"], depth_range: tuple[float, float]):
-        self._server, self._palette, self._depth_range = server, palette, depth_range
+        self._server, self._palette, self.depth_range = server, palette, depth_range
         self._field: FoldedField | None = None
         self._workers: dict[int, NewestOnly[None]] = {}
         self._mesh: viser.GlbHandle | None = None
@@ -116,7 +119,7 @@ class FieldPanel:
             if client.client_id not in self._workers:
                 return  # its page has been closed meanwhile
             if number > 0 or not stale():  # a moving camera is better off with the finer one of the next moment
-                picture = picture_of(images, mode, self._palette, self._depth_range)
+                picture = picture_of(images, mode, self._palette, self.depth_range)
                 client.scene.set_background_image(picture, format="jpeg", jpeg_quality=90, depth=images.depth[0])
             if number == 1:
                 seconds = time.monotonic() - start

@@ -9,14 +9,14 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from nerf_rl.datasets.frames import Frame
-from nerf_rl.images import colour_depth, colour_labels
+from nerf_rl.images import colour_depth, colour_labels, surface_limits
 
 _BACKGROUND = 255
 
 
 def depth_limits(frame: Frame) -> tuple[float, float]:
-    """Return limits [m] for the colours of depth: the nearest surface, and one behind most of the others."""
-    return float(frame.depth.min()), float(np.quantile(frame.depth, 0.85))
+    """Return limits [m] for the colours of depth in all pictures of a dataset that are like those of a frame."""
+    return surface_limits(frame.depth, frame.far)
 
 
 def magnify(image: UInt8[ndarray, "H W 3"], height: int) -> UInt8[ndarray, "A B 3"]:

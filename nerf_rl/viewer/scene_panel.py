@@ -10,6 +10,7 @@ from nerf_rl.cameras import camera_position
 from nerf_rl.datasets.frames import Frame
 from nerf_rl.datasets.point_cloud import COLOURINGS, PointCloud, fuse_views
 from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.images import is_surface
 from nerf_rl.viewer.node_names import node_name
 from nerf_rl.viewer.pictures import depth_limits
 
@@ -151,7 +152,12 @@ def look_from(server: viser.ViserServer, frame: Frame) -> None:
     """Begin between the first camera and the others, farther off, with a view of what most of them look at."""
     centres = camera_position(frame.camera_from_world)
     forward = frame.camera_from_world[:, 2, :3]
-    target = np.mean(centres + forward * np.median(frame.depth, axis=(1, 2))[:, None], axis=0)
+    depth = np.where(is_surface(frame.depth, frame.far), frame.depth, np.nan)
+    seen = ~np.isnan(depth).all(axis=(1, 2))  # the others look at nothing
+    if not seen.any():
+        return
+    targets = centres[seen] + forward[seen] * np.nanmedian(depth[seen], axis=(1, 2))[:, None]
+    target = np.mean(targets, axis=0)
     away = 0.7 * centres[0] + 0.3 * np.mean(centres, axis=0) - target
     server.initial_camera.position = target + 1.6 * away + np.array([0.0, 0.0, 0.3])
     server.initial_camera.look_at = target
