@@ -1,12 +1,12 @@
 """Checkpoints of a training run: one folder per checkpoint, complete or absent, without pickle.
 
-``checkpoints/00010000/`` holds ``state.safetensors`` (networks, targets, optimisers, replay memory, random states) and
-``state.json`` (counters and results so far). It is written aside and renamed; older ones are removed after that.
+``checkpoints/00010000/`` holds ``state.safetensors`` (networks, targets, optimisers, priorities, random states),
+``state.json`` (counters and results so far) and the rows of replay memory (:mod:`nerf_rl.rl.replay_chunks`). It is
+written aside and renamed; older ones are removed after that.
 """
 
-import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from nerf_rl.rl.ddpg import DDPG
-from nerf_rl.runs import read_json, write_json
+from nerf_rl.runs import read_json, rename_durably, write_json
 from nerf_rl.tensor_files import write_tensors
 
 _MODULES = ("norm", "actor", "critic", "target_actor", "target_critic")
@@ -24,12 +24,20 @@ _TENSORS, _FACTS = "state.safetensors", "state.json"
 
 def last_checkpoint(run: Path) -> Path | None:
     """Return the newest complete checkpoint of a run, if it has one."""
-    folders = sorted(run.glob("checkpoints/[0-9]*"))
-    return folders[-1] if folders else None
+    return max(run.glob("checkpoints/[0-9]*"), key=lambda folder: int(folder.name), default=None)
 
 
-def save_checkpoint(run: Path, env_steps: int, tensors: Mapping[str, Tensor], facts: dict[str, Any]) -> None:
-    """Write a checkpoint and remove the older ones."""
+def save_checkpoint(
+    run: Path, env_steps: int, tensors: Mapping[str, Tensor], facts: dict[str, Any], add: Callable[[Path], None]
+) -> Path:
+    """Write a checkpoint and remove the older ones; return its folder.
+
+    Args:
+        run: folder of the run.
+        env_steps: the checkpoint's name.
+        tensors, facts: what :func:`load_checkpoint` returns.
+        add: writes what else belongs to it into the folder that it is given.
+    """
     parent = run / "checkpoints"
     parent.mkdir(exist_ok=True)
     aside, final = parent / "partial", parent / f"{env_steps:08d}"
@@ -37,11 +45,13 @@ def save_checkpoint(run: Path, env_steps: int, tensors: Mapping[str, Tensor], fa
     aside.mkdir()
     write_tensors(aside / _TENSORS, tensors)
     write_json(aside / _FACTS, facts)
+    add(aside)
     shutil.rmtree(final, ignore_errors=True)
-    os.replace(aside, final)
+    rename_durably(aside, final)
     for older in parent.glob("[0-9]*"):
         if older != final:
             shutil.rmtree(older)
+    return final
 
 
 def load_checkpoint(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:

@@ -47,9 +47,14 @@ class Replay:
         batch_size: transitions in a batch.
         folder: holds the file until :meth:`close`.
         seed: of the drawing.
+        checkpoint_rows: rows that checkpoints hold beside memory, at most; for the room that they need on the disk.
+
+    Attributes:
+        stored: how many rows have ever been stored; those still there are the last ``len(replay)`` of them.
 
     Raises:
-        UserError: the disk has no room for the capacity (the file is sparse, so it would fail much later).
+        UserError: the disk has no room for the capacity (the file is sparse, so it would fail much later) and the
+            checkpoints.
     """
 
     def __init__(
@@ -60,13 +65,15 @@ class Replay:
         batch_size: int,
         folder: Path,
         seed: int = 0,
+        checkpoint_rows: int = 0,
     ):
         self.prioritised = config.prioritised
         self._batch_size = batch_size
         self._split = [observation_size, action_size, 1, 1, observation_size]
-        check_free_space(folder.parent, 4 * sum(self._split) * config.capacity)
+        self._capacity, self.stored = config.capacity, 0
         self._folder = folder
         shutil.rmtree(folder, ignore_errors=True)  # what a killed run left behind
+        check_free_space(folder.parent, 4 * sum(self._split) * (config.capacity + checkpoint_rows))
         folder.mkdir(parents=True)
         self._storage = LazyMemmapStorage(config.capacity, scratch_dir=folder)
         self._sampler = (
@@ -87,6 +94,15 @@ class Replay:
         if transitions:
             rows = [(t.observation, t.action, [t.reward, t.discount], t.next_observation) for t in transitions]
             self._extend(torch.from_numpy(np.stack([np.concatenate(row) for row in rows]).astype(np.float32)))
+
+    @property
+    def oldest(self) -> int:
+        """How many rows were stored before the oldest that is still there."""
+        return self.stored - len(self)
+
+    def rows(self, first: int, end: int) -> Float[Tensor, "N W"]:
+        """Return the rows before which ``first``, ``first`` + 1, ... and ``end`` - 1 others were stored."""
+        return self._gather_rows(torch.arange(first, end) % self._capacity)
 
     def sample(self, beta: float) -> Batch:
         """Draw a batch with P(i) = p_i^alpha / sum_k p_k^alpha and weights w_i = (N P(i))^-beta / max_k w_k.
@@ -115,13 +131,13 @@ class Replay:
             self._sampler.update_priority(index, error.abs())
 
     def state(self) -> dict[str, Tensor]:
-        """Return all that a resumed run needs: rows, priorities, place of the next row, random state."""
+        """Return all that a resumed run needs: the rows and what :meth:`bookkeeping` returns."""
+        return {"rows": self.rows(self.oldest, self.stored), **self.bookkeeping()}
+
+    def bookkeeping(self) -> dict[str, Tensor]:
+        """Return all but the rows that a resumed run needs: how many were stored, priorities, random state."""
         indices = torch.arange(len(self))
-        state = {
-            "rows": self._gather_rows(indices),
-            "cursor": torch.tensor(self._buffer.writer.state_dict()["_cursor"]),
-            "generator": self.generator.get_state(),
-        }
+        state = {"stored": torch.tensor(self.stored), "generator": self.generator.get_state()}
         if self.prioritised:
             sampler = self._sampler.state_dict()
             state["powered_priority"] = torch.as_tensor(sampler["_sum_tree"][indices])
@@ -129,9 +145,11 @@ class Replay:
         return state
 
     def load_state(self, state: dict[str, Tensor]) -> None:
-        """Fill an empty memory with what :meth:`state` returned."""
-        self._extend(state["rows"])
-        self._buffer.writer.load_state_dict({"_cursor": int(state["cursor"])})
+        """Fill an empty memory with what :meth:`state` returned; its rows are there from the oldest on."""
+        rows, stored = state["rows"], int(state["stored"])
+        self._extend(rows.roll(stored % self._capacity, 0) if len(rows) == self._capacity else rows)
+        self.stored = stored
+        self._buffer.writer.load_state_dict({"_cursor": stored % self._capacity})
         self.generator.set_state(state["generator"])
         if self.prioritised:
             sampler = self._sampler.state_dict()
@@ -148,6 +166,7 @@ class Replay:
 
     def _extend(self, rows: Tensor) -> None:
         self._buffer.extend(rows)
+        self.stored += len(rows)
         if self._rows is None:
             # A plain view of the mapped file: indexing TorchRL's own tensor subclass costs four times as much.
             self._rows = torch.from_numpy(self._storage._storage.numpy())
@@ -165,6 +184,7 @@ def check_free_space(folder: Path, needed: int) -> None:
     free = shutil.disk_usage(folder).free
     if needed > free:
         raise UserError(
-            f"replay memory needs {needed / 1e9:.1f} GB of disk, {folder} has {free / 1e9:.1f} GB free; "
+            f"replay memory needs {needed / 1e9:.1f} GB of disk, its checkpoints included, and {folder} has "
+            f"{free / 1e9:.1f} GB free; "
             "use a smaller --replay.capacity"
         )

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from numpy import ndarray
 
+from nerf_rl.errors import UserError
 from nerf_rl.progress import Progress
 from nerf_rl.rl.checkpoint import (
     agent_tensors,
@@ -29,6 +30,7 @@ from nerf_rl.rl.n_step import NStep
 from nerf_rl.rl.noise import HeldActions, Noise, linear_schedule
 from nerf_rl.rl.records import MetricsLog
 from nerf_rl.rl.replay import Replay
+from nerf_rl.rl.replay_chunks import count_rows, load_rows, most_rows, save_rows
 
 _STEP_TIMEOUT = 300.0  # [s] a worker that is silent for so long has hung
 
@@ -61,9 +63,9 @@ class Trainer:
         self.observation_size = int(np.prod(envs.single_observation_space.shape or ()))
         self.action_size = int(np.prod(envs.single_action_space.shape or ()))
         self.agent = DDPG(self.observation_size, self.action_size, config.network, learner)
-        self.replay = Replay(
-            config.replay, self.observation_size, self.action_size, learner.batch_size, run / "replay", config.seed
-        )
+        self._checkpoint = last_checkpoint(run) if config.resume else None
+        sizes = (self.observation_size, self.action_size, learner.batch_size)
+        self.replay = Replay(config.replay, *sizes, run / "replay", config.seed, self._checkpoint_rows())
         steps = -(-config.episode_steps // config.action_repeat)
         self._noise = Noise(config.noise, count, self.action_size, steps, self._rng)
         self._held = HeldActions(count, self.action_size, config.noise.hold_steps, self._rng, config.noise.hold_kind)
@@ -74,8 +76,8 @@ class Trainer:
         self.env_steps, self.episodes, self._credit = 0, 0, 0.0
         self._seconds_before, self._start = 0.0, time.monotonic()
         self.evaluations: list[dict[str, Any]] = []
-        if config.resume and (checkpoint := last_checkpoint(run)) is not None:
-            self._load(checkpoint)
+        if self._checkpoint is not None:
+            self._load(self._checkpoint)
         self.metrics = MetricsLog(run / "metrics.csv", self.env_steps)
 
     @property
@@ -121,7 +123,7 @@ class Trainer:
     def save(self) -> None:
         """Write a checkpoint; call it only between two calls of :meth:`train`."""
         tensors = {f"agent.{name}": tensor for name, tensor in agent_tensors(self.agent).items()}
-        tensors |= {f"replay.{name}": tensor for name, tensor in self.replay.state().items()}
+        tensors |= {f"replay.{name}": tensor for name, tensor in self.replay.bookkeeping().items()}
         facts = {
             "env_steps": self.env_steps,
             "updates": self.agent.updates,
@@ -132,16 +134,32 @@ class Trainer:
             "rng": self._rng.bit_generator.state,
             "evaluations": self.evaluations,
         }
-        save_checkpoint(self._run, self.env_steps, tensors, facts)
+        before = self._checkpoint
+        self._checkpoint = save_checkpoint(
+            self._run, self.env_steps, tensors, facts, lambda folder: save_rows(self.replay, folder, before)
+        )
 
     def _load(self, checkpoint: Path) -> None:
         tensors, facts = load_checkpoint(checkpoint)
         load_agent_tensors(self.agent, below(tensors, "agent"))
-        self.replay.load_state(below(tensors, "replay"))
+        replay = below(tensors, "replay")
+        if "stored" not in replay:
+            raise UserError(f"{checkpoint} is of another version of nerf-rl; train again with --overwrite true")
+        stored = int(replay["stored"])
+        oldest = max(0, stored - self._config.replay.capacity)
+        self.replay.load_state(replay | {"rows": load_rows(checkpoint, oldest, stored)})
         self.env_steps, self.agent.updates, self.episodes = facts["env_steps"], facts["updates"], facts["episodes"]
         self._credit, self._episode_index = facts["credit"], facts["episode_index"]
         self._seconds_before, self.evaluations = facts["seconds"], facts["evaluations"]
         self._rng.bit_generator.state = facts["rng"]
+
+    def _checkpoint_rows(self) -> int:
+        """Return about how many rows of replay memory checkpoints will hold, beyond those that they hold already."""
+        config = self._config
+        rows_per_step = (1 + config.replay.hindsight) / config.action_repeat
+        between, total = (int(steps * rows_per_step) for steps in (config.checkpoint_every, config.env_steps))
+        held = 0 if self._checkpoint is None else count_rows(self._checkpoint)
+        return max(0, most_rows(config.replay.capacity, between, total) - held)
 
     def _make_hindsight(self, task: GoalTask | None) -> list[Hindsight]:
         """Return a collector for each environment, or none."""
