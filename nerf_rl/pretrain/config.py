@@ -4,6 +4,7 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import Any
 
+from nerf_rl.devices import check_device_name
 from nerf_rl.errors import UnknownNameError, UserError
 
 TEACHERS = ("depth", "normals")
@@ -217,9 +218,12 @@ class ProbeConfig:
     """training frames that the probes are fitted on"""
     seed: int = 0
     """seed of the random encoder that stands beside"""
+    device: str = "auto"
+    """where to encode: cpu, cuda, cuda:1 or auto (a GPU if there is one)"""
     overwrite: bool = False
     """replace an existing output folder"""
 
     def __post_init__(self) -> None:
         if self.frames < 2:
             raise UserError(f"--frames must be at least 2, got {self.frames}")
+        check_device_name(self.device)

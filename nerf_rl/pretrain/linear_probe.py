@@ -42,7 +42,7 @@ def probe_encoder(encoder: Encoder, dataset: MultiViewDataset, frames: int, seed
     Columns that do not vary are left out.
 
     Args:
-        encoder: frozen.
+        encoder: frozen; it is run where it is.
         dataset: with the encoder's cameras.
         frames: how many training frames to fit on, evenly spread.
         seed: of the untrained copy.
@@ -56,7 +56,7 @@ def probe_encoder(encoder: Encoder, dataset: MultiViewDataset, frames: int, seed
     varying = [i for i in range(len(names)) if min(part[:, i].std() for part in state) > 1e-4]
     with torch.random.fork_rng():
         torch.manual_seed(seed)
-        untrained = Encoder(encoder.config, encoder.rig).eval().requires_grad_(False)
+        untrained = Encoder(encoder.config, encoder.rig).eval().requires_grad_(False).to(encoder.latent_mean.device)
     results, fitted_on = [], []
     for candidate in (encoder, untrained):
         latents = [encode_frames(candidate, dataset, part) for part in (train, held_out)]
@@ -89,9 +89,10 @@ def linear_probe(
 def encode_frames(encoder: Encoder, dataset: MultiViewDataset, frames: ndarray) -> Float[ndarray, "N Z"]:
     """Return the latents (not standardised) of some frames, from the dataset's encoder cameras."""
     views = dataset.views("encoder")
-    projections = torch.from_numpy(encoder.rig.projections)
+    device = encoder.latent_mean.device
+    projections = torch.from_numpy(encoder.rig.projections).to(device)
     latents = []
     for start in range(0, len(frames), _FRAMES_AT_ONCE):
-        images = torch.from_numpy(dataset.read("rgb", frames[start : start + _FRAMES_AT_ONCE])[:, views])
-        latents.append(encoder(images, projections.expand(len(images), -1, -1, -1)).numpy())
+        images = torch.from_numpy(dataset.read("rgb", frames[start : start + _FRAMES_AT_ONCE])[:, views]).to(device)
+        latents.append(encoder(images, projections.expand(len(images), -1, -1, -1)).cpu().numpy())
     return np.concatenate(latents).astype(np.float64)

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.devices import check_device, resolve_device
 from nerf_rl.pretrain.artefact import read_description
 from nerf_rl.pretrain.config import ProbeConfig
 from nerf_rl.pretrain.encoder_rig import EncoderRig
@@ -13,11 +14,12 @@ def probe(config: ProbeConfig) -> None:
     """Probe an encoder on a dataset's held-out episodes; print the table and write ``summary.json`` if asked to.
 
     Raises:
-        UserError: no such encoder or dataset, or the dataset has another camera rig.
+        UserError: no such encoder or dataset, no such device, or the dataset has another camera rig.
     """
     dataset = MultiViewDataset(config.data)
     _, description = read_description(config.encoder)
     EncoderRig.from_json(description["rig"]).require_same(EncoderRig.of_dataset(dataset))
+    check_device(config.device)
     if config.out is not None:
         prepare_output(Path(config.out), config.overwrite)
         write_provenance(Path(config.out), "probe", config)
@@ -25,7 +27,8 @@ def probe(config: ProbeConfig) -> None:
     from nerf_rl.pretrain.encoder import Encoder  # PyTorch takes seconds to import; mistakes are told before
     from nerf_rl.pretrain.linear_probe import probe_encoder
 
-    result = probe_encoder(Encoder.load(config.encoder), dataset, config.frames, config.seed)
+    encoder = Encoder.load(config.encoder).to(resolve_device(config.device))
+    result = probe_encoder(encoder, dataset, config.frames, config.seed)
     print(result.table())
     if config.out is not None:
         summary = {"probe": result.encoder, "probe_random_encoder": result.random_encoder}

@@ -4,6 +4,7 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import Any
 
+from nerf_rl.devices import check_device_name
 from nerf_rl.errors import UnknownNameError, UserError
 from nerf_rl.rl.baselines.config import PPOConfig
 
@@ -214,6 +215,9 @@ class TrainRLConfig:
     """seed of everything random"""
     threads: int = 1
     """threads of the learner; the environments have one each"""
+    device: str = "cpu"
+    """where to learn, and where each environment's process runs its encoder: cpu, cuda, cuda:1 or auto. Networks and
+    batches are so small that a CPU is about as fast, and each process takes memory of a GPU for itself"""
     resume: bool = False
     """go on from the last checkpoint of an interrupted run"""
     overwrite: bool = False
@@ -228,6 +232,7 @@ class TrainRLConfig:
         for name in ("episodes", "warmup_steps", "learning_starts", "seed"):
             if (getattr(self, name) or 0) < 0:
                 raise UserError(f"--{name} must not be negative, got {getattr(self, name)}")
+        check_device_name(self.device)
         if self.warmup_steps >= self.env_steps:
             raise UserError(
                 f"--warmup_steps {self.warmup_steps} leaves nothing of --env_steps {self.env_steps} to learn in"
@@ -241,8 +246,8 @@ class TrainRLConfig:
 
     def content(self) -> dict[str, Any]:
         """Return the keys that must not change when a run is resumed."""
-        free = "out resume overwrite env_steps episodes threads checkpoint_every evaluation_every evaluation_episodes"
-        free += " final_evaluation_episodes evaluation_to_end log_every"
+        free = "out resume overwrite env_steps episodes threads device checkpoint_every evaluation_every"
+        free += " evaluation_episodes final_evaluation_episodes evaluation_to_end log_every"
         return {key: value for key, value in dataclasses.asdict(self).items() if key not in free.split()}
 
 
@@ -262,6 +267,8 @@ class EvaluateConfig:
     """environments, each in a process of its own"""
     seed: int = 1
     """seed of the episodes; training's own evaluations use 0"""
+    device: str = "cpu"
+    """where to run the policy, and each environment's encoder: cpu, cuda, cuda:1 or auto"""
     video: bool = False
     """also write an mp4 of a few episodes"""
     video_episodes: int = 3
@@ -277,6 +284,7 @@ class EvaluateConfig:
                 raise UserError(f"--{name} must be at least 1, got {getattr(self, name)}")
         if self.seed < 0:
             raise UserError(f"--seed must not be negative, got {self.seed}")
+        check_device_name(self.device)
         if self.video_size < 32 or self.video_size % 16:
             raise UserError(f"--video_size must be a multiple of 16 and at least 32, got {self.video_size}")
 

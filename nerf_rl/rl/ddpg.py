@@ -1,5 +1,6 @@
 """Deep deterministic policy gradient (Lillicrap et al. 2016) with n-step returns and prioritised replay."""
 
+import contextlib
 import copy
 from collections.abc import Iterable
 
@@ -31,13 +32,22 @@ class DDPG:
         observation_size, action_size: O and A; actions are in [-1, 1].
         network: widths and normalisation.
         learner: the algorithm's constants.
+        device: of the networks, PyTorch's default one if None; observations, actions and replay are the CPU's.
     """
 
-    def __init__(self, observation_size: int, action_size: int, network: NetworkConfig, learner: LearnerConfig):
+    def __init__(
+        self,
+        observation_size: int,
+        action_size: int,
+        network: NetworkConfig,
+        learner: LearnerConfig,
+        device: torch.device | str | None = None,
+    ):
         self.learner = learner
-        self.norm: nn.Module = RunningNorm(observation_size) if network.standardise else nn.Identity()
-        self.actor = Actor(observation_size, action_size, network)
-        self.critic = Critic(observation_size, action_size, network)
+        with contextlib.nullcontext() if device is None else torch.device(device):
+            self.norm: nn.Module = RunningNorm(observation_size) if network.standardise else nn.Identity()
+            self.actor = Actor(observation_size, action_size, network)
+            self.critic = Critic(observation_size, action_size, network)
         self.target_actor = copy.deepcopy(self.actor).requires_grad_(False).eval()
         self.target_critic = copy.deepcopy(self.critic).requires_grad_(False).eval()
         self.actor_optimiser = torch.optim.Adam(self.actor.parameters(), lr=learner.actor_rate, fused=True)
@@ -46,10 +56,15 @@ class DDPG:
         self.critic.eval()
         self.updates = 0
 
+    @property
+    def device(self) -> torch.device:
+        """Where the networks are."""
+        return next(self.actor.parameters()).device
+
     @torch.no_grad()
     def act(self, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E A"]:
         """Return the policy's actions, without noise."""
-        return self.actor(self.norm(torch.from_numpy(observation))).numpy()
+        return self.actor(self.norm(torch.from_numpy(observation).to(self.device))).cpu().numpy()
 
     def see(self, observation: Float[ndarray, "E O"]) -> None:
         """Take fresh observations into the statistics that standardise them."""
@@ -65,13 +80,13 @@ class DDPG:
         """
         batch = self._standardise(replay.sample(beta))
         critic_metrics, error = self.update_critic(batch)
-        replay.update_priority(batch.place, error)
+        replay.update_priority(batch.place, error.cpu())
         soft_update(self.critic, self.target_critic, self.learner.tau)
         self.updates += 1
         if self.updates % self.learner.actor_every:
             return critic_metrics
         own = self.learner.actor_batch == "uniform" and replay.prioritised
-        observation = self.norm(replay.sample_observations()) if own else batch.observation
+        observation = self.norm(replay.sample_observations().to(self.device)) if own else batch.observation
         actor_metrics = self.update_actor(observation)
         soft_update(self.actor, self.target_actor, self.learner.tau)
         return critic_metrics | actor_metrics
@@ -112,6 +127,8 @@ class DDPG:
         return {"actor_loss": loss.item(), "pre_tanh": magnitude.item() ** 0.5, "actor_gradient": gradient}
 
     def _standardise(self, batch: Batch) -> Batch:
+        """Return a batch on the networks' device, all but the places, with standardised observations."""
+        batch = Batch(batch.place, *(tensor.to(self.device) for tensor in batch[1:]))
         observation, next_observation = self.norm(batch.observation), self.norm(batch.next_observation)
         return batch._replace(observation=observation, next_observation=next_observation)
 

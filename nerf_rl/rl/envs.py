@@ -91,12 +91,13 @@ class StateObservation(gymnasium.ObservationWrapper):
         return observation.astype(np.float32)
 
 
-def make_env(spec: EnvSpec, encoder: Any = None) -> tuple[gymnasium.Env, Scene | None]:
+def make_env(spec: EnvSpec, encoder: Any = None, device: str = "cpu") -> tuple[gymnasium.Env, Scene | None]:
     """Return an agent's environment in this process, and the MuJoCo scene behind it (None for panda/reach).
 
     Args:
         spec: what to build.
         encoder: the loaded encoder of ``spec.encoder``, if the caller has it already.
+        device: to run the encoder on.
 
     Raises:
         UserError: no such scene, an episode longer than the scene allows, an encoder of another scene.
@@ -112,7 +113,7 @@ def make_env(spec: EnvSpec, encoder: Any = None) -> tuple[gymnasium.Env, Scene |
         return StateObservation(env), scene
     from nerf_rl.rl.observation import LatentObservation  # it loads torch, which a state worker does without
 
-    latent = LatentObservation(env, encoder or spec.encoder, proprio=scene.proprio)
+    latent = LatentObservation(env, encoder or spec.encoder, scene.proprio, device)
     compare_scenes(latent.encoder.scene, spec.scene)
     return latent, scene
 
@@ -124,13 +125,13 @@ def check_scene(spec: EnvSpec) -> tuple[str, ...]:
     return () if scene is None else scene.proprio_names
 
 
-def make_vector_env(spec: EnvSpec, count: int) -> AsyncVectorEnv:
-    """Return ``count`` environments, each in a spawned process with one thread.
+def make_vector_env(spec: EnvSpec, count: int, device: str = "cpu") -> AsyncVectorEnv:
+    """Return ``count`` environments, each in a spawned process with one thread and its encoder on ``device``.
 
     They never reset themselves (Gymnasium's ``AutoresetMode.DISABLED``): a step always returns the true observation
     after it, also the last of an episode, and the caller starts episodes with :func:`reset_some`, seed by seed.
     """
-    worker = functools.partial(make_worker_env, spec)
+    worker = functools.partial(make_worker_env, spec, device)
     return AsyncVectorEnv([worker] * count, context="spawn", autoreset_mode=AutoresetMode.DISABLED)
 
 
@@ -156,7 +157,7 @@ def _make_scene(spec: EnvSpec) -> Scene:
     return scene
 
 
-def make_worker_env(spec: EnvSpec) -> gymnasium.Env:
+def make_worker_env(spec: EnvSpec, device: str = "cpu") -> gymnasium.Env:
     """Return an agent's environment in a worker process of its own, which leaves Ctrl-C to its parent."""
     if multiprocessing.parent_process() is not None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the learner's to handle; it closes the workers
@@ -164,4 +165,4 @@ def make_worker_env(spec: EnvSpec) -> gymnasium.Env:
             import torch
 
             torch.set_num_threads(1)
-    return make_env(spec)[0]
+    return make_env(spec, device=device)[0]

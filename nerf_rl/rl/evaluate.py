@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nerf_rl.devices import check_device, resolve_device
 from nerf_rl.rl.artefact import check_policy
 from nerf_rl.rl.config import EvaluateConfig
 from nerf_rl.runs import SUMMARY, prepare_output, write_json, write_provenance
@@ -20,10 +21,11 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
     """Evaluate the policy of ``config.run`` into ``config.out``; return the summary.
 
     Raises:
-        UserError: no policy there, not its encoder, an existing output folder.
+        UserError: no policy there, not its encoder, no such device, an existing output folder.
     """
     run, out = Path(config.run), Path(config.out)
     check_policy(run, config.encoder)
+    check_device(config.device)
     prepare_output(out, config.overwrite)
     write_provenance(out, "evaluate", config)
     print(f"evaluate writes to {out}", flush=True)
@@ -32,16 +34,17 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
     from nerf_rl.rl.episodes import evaluation_seeds, run_episodes
     from nerf_rl.rl.policy import Policy
 
-    policy = Policy.load(run, config.encoder)
+    device = resolve_device(config.device)
+    policy = Policy.load(run, config.encoder, device)
     seeds = evaluation_seeds(config.seed, max(config.episodes, config.video_episodes))
-    envs = make_vector_env(policy.spec, min(config.envs, config.episodes))
+    envs = make_vector_env(policy.spec, min(config.envs, config.episodes), str(device))
     try:
         summary = run_episodes(envs, policy.act, seeds[: config.episodes]).summary()
     finally:
         envs.close(terminate=True)
     summary |= {"env_steps": policy.env_steps}
     if config.video:
-        _write_video(out / VIDEO, config, policy, seeds[: config.video_episodes])
+        _write_video(out / VIDEO, config, policy, seeds[: config.video_episodes], str(device))
         summary["video"] = VIDEO
     write_json(out / SUMMARY, summary)
     rate, low, high = (f"{summary[key]:.0%}" for key in ("success_rate", "ci_low", "ci_high"))
@@ -49,10 +52,10 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
     return summary
 
 
-def _write_video(path: Path, config: EvaluateConfig, policy: "Policy", seeds: list[int]) -> None:
+def _write_video(path: Path, config: EvaluateConfig, policy: "Policy", seeds: list[int], device: str) -> None:
     from nerf_rl.rl.rollout import film, rollout
     from nerf_rl.rl.video import write_mp4
 
-    clips = [film(rollout(config.run, seed, view_size=config.video_size, policy=policy)) for seed in seeds]
+    clips = [film(rollout(config.run, seed, "", config.video_size, policy, device)) for seed in seeds]
     held = [np.concatenate([clip, np.repeat(clip[-1:], _HOLD_FRAMES, axis=0)]) for clip in clips]
     write_mp4(path, np.concatenate(held), frames_per_second=20.0)

@@ -30,7 +30,7 @@ class RunningNorm(nn.Module):
 
     def see(self, observations: Float[ndarray, "E O"]) -> None:
         """Take observations into the statistics (Chan, Golub and LeVeque 1983, parallel updating)."""
-        x = torch.from_numpy(observations.astype(np.float64))
+        x = torch.from_numpy(observations.astype(np.float64)).to(self.mean.device)
         count = self.count + len(x)
         shift = x.mean(0) - self.mean
         self.squares += (x - x.mean(0)).square().sum(0) + shift.square() * self.count * len(x) / count
@@ -44,6 +44,5 @@ class RunningNorm(nn.Module):
 
     def forward(self, observation: Float[Tensor, "B O"]) -> Float[Tensor, "B O"]:
         """Standardise; the identity before anything has been seen."""
-        if self.count == 0:
-            return observation
-        return (observation - self.mean.float()) / self.std.float()
+        standardised = (observation - self.mean.float()) / self.std.float()
+        return torch.where(self.count == 0, observation, standardised)

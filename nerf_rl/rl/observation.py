@@ -29,6 +29,7 @@ class LatentObservation(gymnasium.ObservationWrapper):
         env: any environment whose ``unwrapped`` has MuJoCo's ``model`` and ``data``.
         encoder: a loaded encoder, or where to load it from.
         proprio: from the environment's observation to what the robot knows of itself [P]; None for the latent alone.
+        device: to move the encoder to; None leaves it where it is. Observations are in the CPU's memory either way.
 
     Attributes:
         last_images: what the cameras saw at the last observation [V, H, W, 3], uint8.
@@ -39,14 +40,22 @@ class LatentObservation(gymnasium.ObservationWrapper):
     last_latent: Float[ndarray, "Z"]
 
     def __init__(
-        self, env: gymnasium.Env, encoder: Encoder | str | Path, proprio: Callable[[Any], ndarray] | None = None
+        self,
+        env: gymnasium.Env,
+        encoder: Encoder | str | Path,
+        proprio: Callable[[Any], ndarray] | None = None,
+        device: torch.device | str | None = None,
     ):
         super().__init__(env)
         self.encoder = Encoder.load(Path(encoder)) if isinstance(encoder, (str, Path)) else encoder
+        if device is not None:
+            self.encoder.to(device)
         self._proprio = proprio
         self._renderer: MultiViewRenderer | None = None
         self._shown: ShownState | None = None
-        self._projections = torch.as_tensor(self.encoder.rig.projections, dtype=torch.float32)[None]
+        self._device = self.encoder.latent_mean.device
+        projections = torch.as_tensor(self.encoder.rig.projections, dtype=torch.float32, device=self._device)
+        self._projections = projections[None]
         box = env.observation_space
         example = np.zeros(box.shape or (), box.dtype)
         size = self.encoder.latent_size + (0 if proprio is None else len(proprio(example)))
@@ -56,10 +65,10 @@ class LatentObservation(gymnasium.ObservationWrapper):
         """Look at the scene as it is now and return [latent, proprioception]."""
         self.last_images = self._render()
         with torch.inference_mode():
-            latent = self.encoder(torch.from_numpy(self.last_images)[None], self._projections)
+            latent = self.encoder(torch.from_numpy(self.last_images).to(self._device)[None], self._projections)
             standardised = self.encoder.standardise(latent)[0]
-        self.last_latent = latent[0].float().numpy()
-        parts = [standardised.float().numpy()]
+        self.last_latent = latent[0].float().cpu().numpy()
+        parts = [standardised.float().cpu().numpy()]
         if self._proprio is not None:
             parts.append(self._proprio(observation))
         return np.concatenate(parts).astype(np.float32)

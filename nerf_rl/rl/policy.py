@@ -38,7 +38,8 @@ class Policy:
     @torch.no_grad()
     def act(self, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E A"]:
         """Return actions in [-1, 1]."""
-        return self.actor(torch.from_numpy(observation)).numpy()
+        device = next(self.actor.parameters()).device
+        return self.actor(torch.from_numpy(observation).to(device)).cpu().numpy()
 
     def save(self, folder: Path) -> None:
         """Write both files, each whole or not at all."""
@@ -57,12 +58,13 @@ class Policy:
         write_json(folder / POLICY_DESCRIPTION, content)
 
     @staticmethod
-    def load(run: Path, encoder: str = "") -> "Policy":
+    def load(run: Path, encoder: str = "", device: torch.device | str = "cpu") -> "Policy":
         """Read a policy.
 
         Args:
             run: a run folder of train-rl.
             encoder: where its encoder is now, if it has moved.
+            device: to act on.
 
         Raises:
             UserError: no policy there, or the encoder is not the one that it was trained with.
@@ -75,7 +77,7 @@ class Policy:
         actor.load_state_dict(load_file(run / POLICY_WEIGHTS))
         names = ("observation_size", "action_size", "proprio_names", "encoder_digest", "env_steps")
         kept = {name: content[name] for name in names}
-        return Policy(actor.eval().requires_grad_(False), spec_from_json(content["env"]), network, **kept)
+        return Policy(actor.eval().requires_grad_(False).to(device), spec_from_json(content["env"]), network, **kept)
 
 
 def make_actor(observation_size: int, action_size: int, network: NetworkConfig | LayeredConfig) -> nn.Sequential:

@@ -36,7 +36,12 @@ class Rollout:
 
 
 def rollout(
-    run: Path | str, seed: int = 0, encoder: str = "", view_size: int = 256, policy: Policy | None = None
+    run: Path | str,
+    seed: int = 0,
+    encoder: str = "",
+    view_size: int = 256,
+    policy: Policy | None = None,
+    device: str = "cpu",
 ) -> Rollout:
     """Run one episode in this process, until its first success or its end.
 
@@ -46,12 +51,13 @@ def rollout(
         encoder: where the encoder is now, if it has moved.
         view_size: height and width of ``view`` [pixels].
         policy: that of ``run``, if the caller has loaded it.
+        device: to run the encoder on.
 
     Raises:
         UserError: no policy there, or not its encoder.
     """
     policy = policy or Policy.load(Path(run), encoder)
-    env, scene = make_env(policy.spec)
+    env, scene = make_env(policy.spec, device=device)
     observe: Any = env if policy.spec.encoder is not None else None
     camera = _Camera(env, scene, view_size)
     view: list[ndarray] = []

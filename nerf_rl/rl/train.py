@@ -4,6 +4,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nerf_rl.devices import check_device, resolve_device
 from nerf_rl.errors import UserError
 from nerf_rl.extras import import_extra
 from nerf_rl.progress import Progress
@@ -27,11 +28,12 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
 
     Raises:
         UserError: an unknown scene, an encoder that is missing or of another scene, an existing run, a full disk, an
-            extra that is not installed.
+            extra that is not installed, a device that is not there.
     """
     encoder = None if config.encoder == NO_ENCODER else str(Path(config.encoder).resolve())
     if encoder is not None:
         check_encoder_scene(encoder, config.scene)
+    check_device(config.device)
     if config.algo != "ddpg":
         import_extra("stable_baselines3", "sb3", f"--algo {config.algo}")
     run = Path(config.out)
@@ -47,7 +49,7 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
     write_provenance(run, "train-rl", config)
     print(f"train-rl writes to {run}", flush=True)
 
-    envs = make_vector_env(spec, config.envs)
+    envs = make_vector_env(spec, config.envs, str(resolve_device(config.device)))
     try:
         sizes = (_size(envs.single_observation_space), _size(envs.single_action_space))
         record = RunRecord(config, spec, sizes, list(proprio_names if encoder else ()), on_evaluation)

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from numpy import ndarray
 
+from nerf_rl.devices import resolve_device
 from nerf_rl.errors import UserError
 from nerf_rl.progress import Progress
 from nerf_rl.rl.checkpoint import (
@@ -62,7 +63,9 @@ class Trainer:
         count, learner = envs.num_envs, config.learner
         self.observation_size = int(np.prod(envs.single_observation_space.shape or ()))
         self.action_size = int(np.prod(envs.single_action_space.shape or ()))
-        self.agent = DDPG(self.observation_size, self.action_size, config.network, learner)
+        self.agent = DDPG(
+            self.observation_size, self.action_size, config.network, learner, resolve_device(config.device)
+        )
         self._checkpoint = last_checkpoint(run) if config.resume else None
         sizes = (self.observation_size, self.action_size, learner.batch_size)
         self.replay = Replay(config.replay, *sizes, run / "replay", config.seed, self._checkpoint_rows())

@@ -28,7 +28,9 @@ class ActionValues:
     @torch.inference_mode()
     def __call__(self, observations: Float[ndarray, "N O"], actions: Float[ndarray, "N A"]) -> Float[ndarray, "N"]:
         """Return the value of each action in its state."""
-        return self._critic(self._norm(torch.from_numpy(observations)), torch.from_numpy(actions)).numpy()
+        device = next(self._critic.parameters()).device
+        observed, acted = (torch.from_numpy(array).to(device) for array in (observations, actions))
+        return self._critic(self._norm(observed), acted).cpu().numpy()
 
     @staticmethod
     def load(run: Path, policy: Policy) -> "ActionValues | None":

@@ -53,10 +53,11 @@ class Agent:
         encoder: where its encoder is now, if it has moved.
         seed: of its episodes.
         episodes: how many there are to choose from.
+        device: of encoder and field; the policy is too small to gain from a GPU.
     """
 
-    def __init__(self, run: Path, encoder: str, seed: int, episodes: int):
-        self.run = run
+    def __init__(self, run: Path, encoder: str, seed: int, episodes: int, device: torch.device | str = "cpu"):
+        self.run, self._device = run, torch.device(device)
         self.policy = Policy.load(run, encoder)
         self.values = ActionValues.load(run, self.policy)
         self.seeds = evaluation_seeds(seed, episodes)
@@ -68,7 +69,7 @@ class Agent:
             self.encoder = Encoder.load(self.policy.spec.encoder)
             folder, description = read_description(self.policy.spec.encoder)
             if (folder / "field.json").is_file():
-                self.field = RadianceField.load(folder).requires_grad_(False)
+                self.field = RadianceField.load(folder).requires_grad_(False).to(device)
                 self.palette = np.array(description["palette"], np.uint8)
                 self.class_names = description["classes"]
         self._depth_range: tuple[float, float] | None = None
@@ -78,7 +79,7 @@ class Agent:
         """Return an episode by its number; it is acted when it is first asked for."""
         if number not in self._acted:
             seed = self.seeds[number]
-            episode = rollout(self.run, seed, policy=self.policy)
+            episode = rollout(self.run, seed, policy=self.policy, device=str(self._device))
             values = None if self.values is None else self.values(episode.observations, episode.actions)
             self._acted[number] = ActedEpisode(seed, episode, values)
         return self._acted[number]
@@ -87,7 +88,7 @@ class Agent:
         """Return the field of what the agent saw at a step, if its encoder has one."""
         if self.field is None or episode.rollout.latents is None:
             return None
-        return FoldedField(self.field, torch.from_numpy(episode.rollout.latents[step]))
+        return FoldedField(self.field, torch.from_numpy(episode.rollout.latents[step]).to(self._device))
 
     def depth_range(self, decoded: Sequence[RenderedImages]) -> tuple[float, float]:
         """Return limits [m] for the colours of decoded depth.

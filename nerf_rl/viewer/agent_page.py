@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nerf_rl.devices import resolve_device
 from nerf_rl.viewer.config import ViewConfig
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def save_agent(config: ViewConfig) -> None:
 def _agent(config: ViewConfig) -> "Agent":
     from nerf_rl.viewer.agent import Agent
 
-    return Agent(Path(config.path), config.encoder, config.seed, config.episodes)
+    return Agent(Path(config.path), config.encoder, config.seed, config.episodes, resolve_device(config.device))
 
 
 def _slides(agent: "Agent", episodes: int) -> Iterator["Slide"]:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from nerf_rl.devices import check_device_name
 from nerf_rl.errors import UserError
 
 _SUFFIXES = {"save": ".html", "png": ".png", "mp4": ".mp4"}
@@ -36,6 +37,8 @@ class ViewConfig:
     """seed of an agent's episodes; training's own evaluations use 0"""
     threads: int = 2
     """threads that render the radiance field"""
+    device: str = "auto"
+    """where to encode and to render the radiance field: cpu, cuda, cuda:1 or auto (a GPU if there is one)"""
     overwrite: bool = False
     """replace existing files"""
 
@@ -49,6 +52,7 @@ class ViewConfig:
         for name in ("frames", "episodes", "threads"):
             if getattr(self, name) < 1:
                 raise UserError(f"--{name} must be at least 1, got {getattr(self, name)}")
+        check_device_name(self.device)
         if self.seed < 0:
             raise UserError(f"--seed must not be negative, got {self.seed}")
 

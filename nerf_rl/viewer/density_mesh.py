@@ -65,12 +65,15 @@ def density_mesh(
     bounds = field.field.bounds
     side = np.linspace(-bounds.half_extent, bounds.half_extent, resolution)
     grid = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3) + np.array(bounds.centre)
-    density = [field(part)[0] for part in torch.from_numpy(grid.astype(np.float32)).split(_POINTS_AT_ONCE)]
+    device = field.latent.device
+    parts = torch.from_numpy(grid.astype(np.float32)).split(_POINTS_AT_ONCE)
+    density = [field(part.to(device))[0].cpu() for part in parts]
     vertices, faces = surface_net(torch.cat(density).reshape(resolution, resolution, resolution).numpy(), level)
     points = vertices * (side[1] - side[0]) - bounds.half_extent + np.array(bounds.centre)
-    features = [field(part)[1] for part in torch.from_numpy(points.astype(np.float32)).split(_POINTS_AT_ONCE)]
+    parts = torch.from_numpy(points.astype(np.float32)).split(_POINTS_AT_ONCE)
+    features = [field(part.to(device))[1] for part in parts]
     with torch.inference_mode():
-        colours = field.field.read(torch.cat(features))["rgb"].clamp(0.0, 1.0).numpy()
+        colours = field.field.read(torch.cat(features))["rgb"].clamp(0.0, 1.0).cpu().numpy()
     return points.astype(np.float32), faces, colours
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import yaml
 
 from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.devices import resolve_device
 from nerf_rl.errors import MissingFileError, UserError
 from nerf_rl.pretrain.artefact import read_description
 from nerf_rl.pretrain.encoder_rig import EncoderRig
@@ -39,7 +40,7 @@ def serve_encoder(config: ViewConfig, dataset: MultiViewDataset, folder: Path) -
     from nerf_rl.viewer.latents import EncodedDataset
     from nerf_rl.viewer.server import serve, wait_for_interrupt, where_to_look
 
-    encoded = EncodedDataset(config.path, folder, dataset)
+    encoded = EncodedDataset(config.path, folder, dataset, resolve_device(config.device))
     with serve(config.host, config.port, f"{encoded.encoder.scene}: encoder") as server:
         page = DatasetView(server, dataset)
         panel = EncoderPanel(page, encoded)
@@ -61,7 +62,7 @@ def save_encoder(config: ViewConfig, dataset: MultiViewDataset, folder: Path) ->
     from nerf_rl.viewer.slides import chosen_frames, dataset_slides
     from nerf_rl.viewer.statistics import sample_statistics
 
-    encoded = EncodedDataset(config.path, folder, dataset)
+    encoded = EncodedDataset(config.path, folder, dataset, resolve_device(config.device))
     limits, far = depth_limits(read_frame(dataset, 0)), encoded.field.bounds.far
 
     def draw(frame: Frame, view: int):  # type: ignore[no-untyped-def]

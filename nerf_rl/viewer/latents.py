@@ -24,19 +24,22 @@ class EncodedDataset:
         path: of the encoder.
         folder: its run folder, where the field lies.
         dataset: rendered with the encoder's cameras.
+        device: of encoder and field.
     """
 
-    def __init__(self, path: str, folder: Path, dataset: MultiViewDataset):
+    def __init__(self, path: str, folder: Path, dataset: MultiViewDataset, device: torch.device | str = "cpu"):
         self.dataset = dataset
-        self.encoder = Encoder.load(path)
-        self.field = RadianceField.load(folder).requires_grad_(False)
+        self.encoder = Encoder.load(path).to(device)
+        self.field = RadianceField.load(folder).requires_grad_(False).to(device)
+        self._device = torch.device(device)
         self._views = dataset.views("encoder")
-        self._projections = torch.from_numpy(self.encoder.rig.projections)[None]
+        self._projections = torch.from_numpy(self.encoder.rig.projections)[None].to(device)
 
     @torch.inference_mode()
     def latent(self, frame: Frame) -> Float[Tensor, "Z"]:
         """Return a frame's latent, not standardised."""
-        return self.encoder(torch.from_numpy(frame.rgb[self._views])[None], self._projections)[0]
+        images = torch.from_numpy(frame.rgb[self._views])[None].to(self._device)
+        return self.encoder(images, self._projections)[0]
 
     def folded(self, latent: Float[Tensor, "Z"]) -> FoldedField:
         """Return the field of the scene that a latent describes."""
@@ -65,7 +68,7 @@ class Probe:
 
     def read(self, latent: Float[Tensor, "Z"]) -> dict[str, float]:
         """Return what the probe reads from a latent [m]."""
-        values = linear_probe(self.latents, self.targets, latent[None].double().numpy())[0]
+        values = linear_probe(self.latents, self.targets, latent[None].double().cpu().numpy())[0]
         return dict(zip(self.names, values.tolist(), strict=True))
 
 

@@ -31,6 +31,7 @@ _COARSE_SAMPLES = 20
 _IMPORTANCE_SAMPLES = 10
 _OPAQUE = 0.03  # a ray that lets less than this through does without the backdrop
 _RAYS_PER_CHUNK = 2048
+_RAYS_PER_CHUNK_ON_GPU = 1 << 15
 _MOST_THREADS = 8
 
 
@@ -50,14 +51,17 @@ class FreeCamera:
             return max(1, round(longer / self.aspect)), longer
         return longer, max(1, round(longer * self.aspect))
 
-    def rays(self, height: int, width: int) -> tuple[Float[Tensor, "3"], Float[Tensor, "R 3"]]:
+    def rays(
+        self, height: int, width: int, device: torch.device | str = "cpu"
+    ) -> tuple[Float[Tensor, "3"], Float[Tensor, "R 3"]]:
         """Return the origin, and directions of unit planar depth through the pixels' centres."""
         focal = 0.5 / np.tan(self.fovy / 2.0)  # in image heights
         K = np.diag([focal * width / self.aspect, focal * height, 1.0])
         K[:2, 2] = width / 2.0, height / 2.0
         directions = pixel_directions(K, self.camera_from_world, pixel_centres(height, width))
         origin = camera_position(self.camera_from_world)
-        return torch.from_numpy(origin.astype(np.float32)), torch.from_numpy(directions.astype(np.float32))
+        origin, directions = origin.astype(np.float32), directions.astype(np.float32)
+        return torch.from_numpy(origin).to(device), torch.from_numpy(directions).to(device)
 
 
 @dataclass
@@ -101,10 +105,12 @@ def render_progressively(
     near, far = field.field.bounds.near, field.field.bounds.far
     height, width = camera.shape(coarse)
     device = field.latent.device
-    origin, directions = camera.rays(height, width)
+    origin, directions = camera.rays(height, width, device)
     spacing = (far - near) / _COARSE_SAMPLES
     every = even_samples(near, far, (height * width,), _COARSE_SAMPLES, device)
-    rays = _in_chunks(lambda part: _render_twice(field, origin, directions[part], every[part]), len(every), stale)
+    rays = _in_chunks(
+        lambda part: _render_twice(field, origin, directions[part], every[part]), len(every), stale, device
+    )
     if rays is None:
         return
     yield _images(field, rays, height, width)
@@ -114,25 +120,32 @@ def render_progressively(
     longest = max(spacing, 1.5 * (far - near) / _BINS)
     for picture in fine:
         height, width = camera.shape(picture.longer)
-        origin, directions = camera.rays(height, width)
+        origin, directions = camera.rays(height, width, device)
         mass = F.interpolate(around, (height, width), mode="nearest")[0].reshape(_BINS, -1).T
         rays = _in_chunks(
-            partial(_render_where, field, origin, directions, bins, mass, picture.samples, longest), len(mass), stale
+            partial(_render_where, field, origin, directions, bins, mass, picture.samples, longest),
+            len(mass),
+            stale,
+            device,
         )
         if rays is None:
             return
         yield _images(field, rays, height, width)
 
 
-def _in_chunks(render: Callable[[slice], _Rays], count: int, stale: Callable[[], bool]) -> _Rays | None:
+def _in_chunks(
+    render: Callable[[slice], _Rays], count: int, stale: Callable[[], bool], device: torch.device
+) -> _Rays | None:
     """Render rays in all threads; None if a newer picture was wanted before the end.
 
     Args:
         render: renders the rays of a slice.
         count: how many there are.
         stale: tells whether a newer picture is wanted.
+        device: where they are rendered.
     """
-    size = min(_RAYS_PER_CHUNK, -(-count // (2 * _thread_count())))
+    most = _RAYS_PER_CHUNK if device.type == "cpu" else _RAYS_PER_CHUNK_ON_GPU
+    size = min(most, -(-count // (2 * _thread_count())))
 
     def chunk(start: int) -> _Rays | None:
         if stale():
@@ -243,13 +256,13 @@ def _composed(
 def _histogram(rays: _Rays, near: float, far: float) -> Float[Tensor, "R bins"]:
     """Return each ray's weight in equal bins of depth."""
     place = ((rays.depths[:, :-1] - near) / (far - near) * _BINS).long().clamp(0, _BINS - 1)
-    return torch.zeros(len(place), _BINS).scatter_add_(1, place, rays.weights[:, :-1].clone())
+    return torch.zeros(len(place), _BINS, device=place.device).scatter_add_(1, place, rays.weights[:, :-1].clone())
 
 
 def _images(field: FoldedField, rays: _Rays, height: int, width: int) -> RenderedImages:
     values, shape = field.field.read(rays.features), (1, height, width)
     return RenderedImages(
-        values["rgb"].clamp(0.0, 1.0).reshape(*shape, 3).numpy(),
-        values["semantic"].argmax(-1).reshape(shape).numpy(),
-        (rays.weights * rays.depths).sum(-1).reshape(shape).numpy(),
+        values["rgb"].clamp(0.0, 1.0).reshape(*shape, 3).cpu().numpy(),
+        values["semantic"].argmax(-1).reshape(shape).cpu().numpy(),
+        (rays.weights * rays.depths).sum(-1).reshape(shape).cpu().numpy(),
     )

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.devices import check_device
 from nerf_rl.errors import OutputExistsError
 from nerf_rl.rl.artefact import check_policy
 from nerf_rl.threads import yield_while_waiting
@@ -17,9 +18,10 @@ def view(config: ViewConfig) -> None:
     """Serve a page until Ctrl-C, or write the files that were asked for.
 
     Raises:
-        UserError: nothing there to view, a file exists, the port is taken.
+        UserError: nothing there to view, a file exists, the port is taken, no such device.
     """
     subject = find_subject(Path(config.path))
+    check_device(config.device)
     for path in config.files.values():
         if path.exists() and not config.overwrite:
             raise OutputExistsError(path, "use --overwrite true or another name")

@@ -9,6 +9,7 @@ from stable_baselines3.common.noise import NormalActionNoise, OrnsteinUhlenbeckA
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
+from nerf_rl.devices import resolve_device
 from nerf_rl.rl.config import TrainRLConfig
 from nerf_rl.rl.networks import LayeredActor, LayeredConfig
 from nerf_rl.rl.normalisation import RunningNorm
@@ -34,7 +35,9 @@ def make_model(config: TrainRLConfig, envs: VecEnv) -> PPO | DDPG:
             "log_std_init": ppo.log_std_init,
         }
         keys = {name: getattr(ppo, name) for name in same.split()}
-        return PPO("MlpPolicy", envs, **keys, policy_kwargs=network, seed=config.seed, device="cpu")
+        return PPO(
+            "MlpPolicy", envs, **keys, policy_kwargs=network, seed=config.seed, device=resolve_device(config.device)
+        )
     learner, actions = config.learner, int(np.prod(envs.action_space.shape or ()))
     scale = np.full(actions, config.noise.start)
     kinds: dict[str, Any] = {"gaussian": NormalActionNoise, "ou": OrnsteinUhlenbeckActionNoise}
@@ -52,7 +55,7 @@ def make_model(config: TrainRLConfig, envs: VecEnv) -> PPO | DDPG:
         action_noise=kinds[config.noise.kind](np.zeros(actions), scale),
         policy_kwargs={"net_arch": config.network.hidden},
         seed=config.seed,
-        device="cpu",
+        device=resolve_device(config.device),
     )
 
 

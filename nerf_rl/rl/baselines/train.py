@@ -13,6 +13,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecNormalize
 
+from nerf_rl.devices import resolve_device
 from nerf_rl.progress import Progress
 from nerf_rl.rl.baselines.models import CLIPPED_AT, export_actor, make_model
 from nerf_rl.rl.config import TrainRLConfig
@@ -139,7 +140,8 @@ class BaselineTrainer(BaseCallback):
 
 def _make_envs(config: TrainRLConfig, spec: EnvSpec) -> VecEnv:
     """Return seeded training environments: in this process if there is one, else each in its own."""
-    makers: list[Callable[[], gymnasium.Env]] = [functools.partial(make_worker_env, spec)] * config.envs
+    worker = functools.partial(make_worker_env, spec, str(resolve_device(config.device)))
+    makers: list[Callable[[], gymnasium.Env]] = [worker] * config.envs
     envs: VecEnv = DummyVecEnv(makers) if config.envs == 1 else SubprocVecEnv(makers, start_method="spawn")
     envs.seed(config.seed)
     if config.algo == "ppo" and config.ppo.normalise:
