@@ -9,14 +9,14 @@ from nerf_rl.errors import UserError
 class ReportConfig:
     """Keys of ``nerf-rl report``."""
 
-    data: str
-    """dataset folder"""
-    encoder: str
-    """run folder of pretrain"""
     agent: str
-    """run folder of train-rl with that encoder"""
+    """run folder of train-rl"""
     out: str
     """the page to write, an .html file"""
+    data: str = ""
+    """dataset folder; by default the one that the encoder was trained on, if it is still there"""
+    encoder: str = ""
+    """run folder of pretrain; by default the agent's encoder, if it has one"""
     episodes: int = 2
     """episodes in the clip"""
     seed: int = 1

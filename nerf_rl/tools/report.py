@@ -1,46 +1,53 @@
-"""``nerf-rl report``: a dataset, an encoder and an agent on one self-contained page."""
+"""``nerf-rl report``: an agent, and its encoder and dataset where it has them, on one self-contained page."""
 
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy import ndarray
 
 from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.errors import MissingFileError, OutputExistsError
 from nerf_rl.pretrain.artefact import read_description
 from nerf_rl.pretrain.figures import describe_iou, describe_validation
-from nerf_rl.rl.artefact import check_policy
 from nerf_rl.runs import PROVENANCE, SUMMARY, read_json, write_text
 from nerf_rl.tools.config import ReportConfig
 from nerf_rl.tools.page import Page
+from nerf_rl.tools.report_sources import FIELD, Sources, find_sources
+
+if TYPE_CHECKING:
+    from nerf_rl.rl.rollout import Rollout
 
 _FRAMES_PER_SECOND = 12.0
+_TITLES = {"data": "dataset", "encoder": "encoder", "agent": "policy"}
 
 
 def write_report(config: ReportConfig) -> None:
     """Write the page and print its key figures.
 
     Raises:
-        UserError: one of the three is missing or unfinished, or the page exists.
+        UserError: the agent, or a part that was named, is missing or unfinished; parts are of different scenes, or the
+            encoder is not the agent's; the page exists.
     """
     out = Path(config.out)
     if out.exists() and not config.overwrite:
         raise OutputExistsError(out, "use --overwrite true or another --out")
-    dataset = MultiViewDataset(config.data)
-    encoder_folder, description = read_description(config.encoder)
-    check_policy(Path(config.agent), config.encoder)
-    summaries = {name: _summary(Path(getattr(config, name))) for name in ("data", "encoder", "agent")}
+    sources = find_sources(config)
+    summaries = {name: _summary(folder) for name, folder in sources.folders.items()}
 
-    page = Page(f"{description['scene']['name']}: dataset, encoder, policy")
+    page = Page(f"{sources.scene}: {', '.join(_TITLES[name] for name in summaries)}")
     lines = _key_figures(summaries)
     page.preformatted("\n".join(lines))
-    _add_dataset(page, dataset)
-    _add_encoder(page, encoder_folder, summaries["encoder"])
-    _add_agent(page, config, encoder_folder, description, summaries["agent"])
+    if sources.dataset is not None:
+        _add_dataset(page, sources.dataset)
+    if "encoder" in summaries:
+        _add_encoder(page, sources.folders["encoder"], summaries["encoder"])
+    _add_agent(page, config, sources, summaries["agent"])
     page.heading("How it was made")
-    for name in summaries:
-        page.preformatted(_made(Path(getattr(config, name))))
+    for folder in sources.folders.values():
+        page.preformatted(_made(folder))
     out.parent.mkdir(parents=True, exist_ok=True)
     write_text(out, page.render())
     print("\n".join([*lines, f"report: {out}"]))
@@ -54,16 +61,26 @@ def _summary(folder: Path) -> dict[str, Any]:
 
 
 def _key_figures(summaries: dict[str, dict[str, Any]]) -> list[str]:
-    data, encoder, agent = summaries["data"], summaries["encoder"], summaries["agent"]
-    figures, last = encoder["validation"], agent["evaluations"][-1]
-    return [
-        f"dataset  {data['frames']} frames, {data['views']} views in {data['seconds']:.0f} s "
-        f"({data['views_per_second']:.0f} views/s, {data['renderer']})",
-        f"encoder  {encoder['steps']} steps in {encoder['seconds']:.0f} s: held-out {describe_validation(figures)}",
-        "probe    " + ", ".join(f"{name} {figure['rmse_mm']:.1f} mm" for name, figure in encoder["probe"].items()),
+    lines = []
+    if data := summaries.get("data"):
+        lines.append(
+            f"dataset  {data['frames']} frames, {data['views']} views in {data['seconds']:.0f} s "
+            f"({data['views_per_second']:.0f} views/s, {data['renderer']})"
+        )
+    if encoder := summaries.get("encoder"):
+        probe = encoder["probe"].items()
+        lines.append(
+            f"encoder  {encoder['steps']} steps in {encoder['seconds']:.0f} s: held-out "
+            f"{describe_validation(encoder['validation'])}"
+        )
+        lines.append("probe    " + ", ".join(f"{name} {figure['rmse_mm']:.1f} mm" for name, figure in probe))
+    agent = summaries["agent"]
+    last = agent["evaluations"][-1]
+    lines.append(
         f"policy   {last['success_rate']:.0%} success (95 % interval {last['ci_low']:.0%} to {last['ci_high']:.0%}, "
-        f"{last['episodes']} episodes) after {last['env_steps']} environment steps in {agent['seconds']:.0f} s",
-    ]
+        f"{last['episodes']} episodes) after {last['env_steps']} environment steps in {agent['seconds']:.0f} s"
+    )
+    return lines
 
 
 def _add_dataset(page: Page, dataset: MultiViewDataset) -> None:
@@ -96,33 +113,23 @@ def _add_encoder(page: Page, folder: Path, summary: dict[str, Any]) -> None:
     page.table(["state", "RMSE [mm]", "R2", "untrained encoder, RMSE [mm]"], rows)
 
 
-def _add_agent(
-    page: Page, config: ReportConfig, encoder_folder: Path, description: dict[str, Any], summary: dict[str, Any]
-) -> None:
-    from nerf_rl.pretrain.encoder import Encoder
-    from nerf_rl.pretrain.field import RadianceField
+def _add_agent(page: Page, config: ReportConfig, sources: Sources, summary: dict[str, Any]) -> None:
     from nerf_rl.rl.records import draw_learning_curve
     from nerf_rl.rl.rollout import rollout
     from nerf_rl.rl.video import write_mp4
-    from nerf_rl.tools.decoded_rollout import decoded_clip
 
     page.heading("Policy")
-    encoder, field = Encoder.load(config.encoder), RadianceField.load(encoder_folder)
-    palette = np.array(description["palette"], np.uint8)
+    draw, shown = _drawing(sources)
     clips, outcomes = [], []
     for i in range(config.episodes):
         episode = rollout(config.agent, config.seed + i, config.encoder)
         outcomes.append("success" if episode.success.any() else "no success")
-        assert episode.images is not None and episode.latents is not None  # check_policy asked for an encoder
-        clips.append(decoded_clip(episode.view, episode.images, episode.latents, field, encoder.rig, palette))
+        clips.append(draw(episode))
     with TemporaryDirectory() as scratch:
         write_mp4(Path(scratch) / "clip.mp4", np.concatenate(clips), _FRAMES_PER_SECOND)
         draw_learning_curve(Path(scratch) / "curve.png", summary["evaluations"], "")
-        caption = (
-            f"Episodes of seeds {config.seed} to {config.seed + config.episodes - 1} ({', '.join(outcomes)}). "
-            f"Left: the scene. Middle: camera '{encoder.rig.names[0]}' above what the field decodes from the latent. "
-            "Right: decoded labels above decoded depth."
-        )
+        seeds = f"seeds {config.seed} to {config.seed + config.episodes - 1}"
+        caption = f"Episodes of {seeds} ({', '.join(outcomes)}). {shown}"
         page.clip((Path(scratch) / "clip.mp4").read_bytes(), caption)
         page.image((Path(scratch) / "curve.png").read_bytes(), "Evaluations during training, with 95 % intervals.")
     rows = [
@@ -135,6 +142,32 @@ def _add_agent(
         for e in summary["evaluations"]
     ]
     page.table(["environment steps", "success", "95 % interval", "episodes"], rows)
+
+
+def _drawing(sources: Sources) -> "tuple[Callable[[Rollout], ndarray], str]":
+    """Return what draws an episode, and a sentence on what is to be seen."""
+    from nerf_rl.rl.rollout import film
+
+    if sources.agents_encoder is None:
+        return film, "The scene; the policy observes its true state, and no image."
+    folder, description = read_description(sources.agents_encoder)
+    if not (folder / FIELD).is_file():
+        return film, "Left: the scene. Right: what the encoder's cameras see."
+    from nerf_rl.pretrain.encoder import Encoder
+    from nerf_rl.pretrain.field import RadianceField
+    from nerf_rl.tools.decoded_rollout import decoded_clip
+
+    rig, field = Encoder.load(sources.agents_encoder).rig, RadianceField.load(folder)
+    palette = np.array(description["palette"], np.uint8)
+
+    def draw(episode: "Rollout") -> ndarray:
+        assert episode.images is not None and episode.latents is not None  # the agent has an encoder
+        return decoded_clip(episode.view, episode.images, episode.latents, field, rig, palette)
+
+    return draw, (
+        f"Left: the scene. Middle: camera '{rig.names[0]}' above what the field decodes from the latent. "
+        "Right: decoded labels above decoded depth."
+    )
 
 
 def _made(folder: Path) -> str:

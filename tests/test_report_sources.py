@@ -1,0 +1,114 @@
+"""Reports on agents of every kind, from what there is of encoder and dataset."""
+
+import base64
+import json
+import re
+import shutil
+from pathlib import Path
+
+import cv2
+import pytest
+from conftest import TINY_TRAINING
+
+from nerf_rl import cli
+from nerf_rl.datasets.sealed_json import write_sealed
+
+MODULES = {"ppo": "stable_baselines3", "panda": "panda_gym"}
+KEYS = {
+    "state": [],
+    "ppo": ["--algo", "ppo", "--ppo.n_steps", "16", "--ppo.batch_size", "16", "--ppo.hidden", "[8]", "--envs", "1"],
+    "panda": ["--scene", "panda/reach"],
+}
+
+
+@pytest.fixture(scope="module", params=KEYS)
+def stateful(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An agent that observes the true state."""
+    if request.param in MODULES:
+        pytest.importorskip(MODULES[request.param])
+    out = tmp_path_factory.mktemp("agents") / request.param
+    assert cli.main(["train-rl", "--out", str(out), *TINY_TRAINING, *KEYS[request.param]]) == 0
+    return out
+
+
+def sections(page: Path) -> list[str]:
+    return re.findall("<h2>(.*?)</h2>", page.read_text())
+
+
+def frames_of_clip(page: Path) -> tuple[int, int, int]:
+    """Return how many frames the clip of a page has, their height and width."""
+    (content,) = re.findall(r'src="data:video/mp4;base64,([^"]+)"', page.read_text())
+    page.with_suffix(".mp4").write_bytes(base64.b64decode(content))
+    clip = cv2.VideoCapture(str(page.with_suffix(".mp4")))
+    read, frame = clip.read()
+    assert read and frame.std() > 5
+    return int(clip.get(cv2.CAP_PROP_FRAME_COUNT)), *frame.shape[:2]
+
+
+def test_an_agent_on_the_true_state_has_a_page_of_its_own(stateful: Path, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    assert cli.main(["report", "--agent", str(stateful), "--out", str(page), "--episodes", "1"]) == 0
+    assert sections(page) == ["Policy", "How it was made"]
+    last = json.loads((stateful / "summary.json").read_text())["evaluations"][-1]
+    assert f"{last['success_rate']:.0%} success" in page.read_text() and "true state" in page.read_text()
+    assert frames_of_clip(page)[1:] == (256, 256)
+
+
+def test_an_agent_on_the_true_state_can_be_viewed(stateful: Path, tmp_path: Path) -> None:
+    files = ["--save", str(tmp_path / "x.html"), "--png", str(tmp_path / "x.png")]
+    assert cli.main(["view", str(stateful), "--episodes", "1", *files]) == 0
+    assert cv2.imread(str(tmp_path / "x.png")).std() > 5
+
+
+def test_encoder_and_dataset_stand_beside_an_agent_of_their_scene_only(
+    stateful: Path, tiny_dataset: Path, tiny_encoder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = tmp_path / "page.html"
+    for keys in (["--data", str(tiny_dataset)], ["--encoder", str(tiny_encoder)]):
+        given = cli.main(["report", "--agent", str(stateful), "--out", str(page), "--overwrite", "true", *keys])
+        if stateful.name == "panda":
+            assert given == 2 and not page.exists()
+            message = capsys.readouterr().err
+            assert "metaworld/drawer-open-v3" in message and "panda/reach" in message and message.count("\n") == 1
+            continue
+        assert given == 0
+        expected = ["Dataset", "Encoder"] if "--encoder" in keys else ["Dataset"]
+        assert sections(page) == [*expected, "Policy", "How it was made"]
+        assert frames_of_clip(page)[1:] == (256, 256)  # nothing is decoded from a state
+
+
+def test_an_agent_knows_its_encoder_and_that_its_dataset(tiny_agent: Path, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    assert cli.main(["report", "--agent", str(tiny_agent), "--out", str(page), "--episodes", "1"]) == 0
+    assert sections(page) == ["Dataset", "Encoder", "Policy", "How it was made"]
+    assert frames_of_clip(page)[1:] == (256, 512)
+
+
+def test_an_exported_encoder_without_its_field_leaves_out_what_it_cannot_show(
+    tiny_encoder: Path, tiny_agent: Path, tmp_path: Path
+) -> None:
+    exported, agent, page = tmp_path / "exported", tmp_path / "agent", tmp_path / "page.html"
+    exported.mkdir()
+    for name in ("encoder.json", "encoder.safetensors"):
+        shutil.copy(tiny_encoder / name, exported)
+    shutil.copytree(tiny_agent, agent, ignore=shutil.ignore_patterns("checkpoints"))
+    policy = json.loads((agent / "policy.json").read_text())
+    policy["env"]["encoder"] = str(exported)
+    (agent / "policy.json").write_text(json.dumps(policy))
+    assert cli.main(["report", "--agent", str(agent), "--out", str(page), "--episodes", "1"]) == 0
+    assert sections(page) == ["Dataset", "Policy", "How it was made"]
+    assert frames_of_clip(page)[1] == 256
+
+
+def test_a_dataset_of_another_scene_is_refused_in_a_sentence(
+    tiny_dataset: Path, tiny_agent: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "other"
+    shutil.copytree(tiny_dataset, other)
+    manifest = json.loads((other / "manifest.json").read_text())
+    manifest["scene"]["name"] = "metaworld/door-open-v3"
+    write_sealed(other / "manifest.json", manifest)
+    page = tmp_path / "page.html"
+    assert cli.main(["report", "--agent", str(tiny_agent), "--data", str(other), "--out", str(page)]) == 2
+    message = capsys.readouterr().err
+    assert "metaworld/door-open-v3" in message and message.count("\n") == 1 and not page.exists()
