@@ -101,11 +101,16 @@ def written_whole(path: Path) -> Iterator[Path]:
     """Give a place to write a file to, so that the file exists whole or not at all.
 
     What was written there is flushed to disk and renamed; if writing fails, it is removed, and an older file stays. The
-    place has the file's suffix, since some writers choose the format by it.
+    place has the file's suffix, since some writers choose the format by it. The file gets the permissions that the
+    user's umask gives to new files, whatever those are that its writer creates it with.
     """
     aside = path.with_name(f".partial-{path.name}")
+    aside.unlink(missing_ok=True)
+    aside.touch()
+    permissions = aside.stat().st_mode & 0o777
     try:
         yield aside
+        aside.chmod(permissions)
         rename_durably(aside, path)
     finally:
         aside.unlink(missing_ok=True)

@@ -87,3 +87,13 @@ def test_a_page_is_not_overwritten_unasked(tmp_path: Path, capsys: pytest.Captur
     page.write_text("mine")
     assert cli.main(["report", "--data", "a", "--encoder", "b", "--agent", "c", "--out", str(page)]) == 2
     assert "--overwrite true" in capsys.readouterr().err and page.read_text() == "mine"
+
+
+def test_every_file_of_every_command_has_the_permissions_that_the_umask_gives(
+    tiny_dataset: Path, tiny_encoder: Path, agent: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "new").touch()
+    usual = (tmp_path / "new").stat().st_mode
+    written = [path for folder in (tiny_dataset, tiny_encoder, agent) for path in folder.rglob("*") if path.is_file()]
+    assert len(written) > 25
+    assert [path for path in written if path.stat().st_mode != usual] == []

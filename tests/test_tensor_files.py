@@ -1,5 +1,6 @@
 """Tensors on disk: whole or not at all."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -22,3 +23,13 @@ def test_a_failed_write_leaves_the_older_file(tmp_path: Path, monkeypatch: pytes
         write_tensors(tmp_path / "x.safetensors", {"a": torch.zeros(2)})
     assert [path.name for path in tmp_path.iterdir()] == ["x.safetensors"]
     assert torch.equal(load_file(tmp_path / "x.safetensors")["a"], torch.ones(2))
+
+
+@pytest.mark.parametrize("umask, permissions", [(0o022, 0o644), (0o027, 0o640), (0o077, 0o600)])
+def test_who_may_read_the_file_is_for_the_umask_to_say(tmp_path: Path, umask: int, permissions: int) -> None:
+    before = os.umask(umask)
+    try:
+        write_tensors(tmp_path / "x.safetensors", {"a": torch.ones(2)})
+    finally:
+        os.umask(before)
+    assert (tmp_path / "x.safetensors").stat().st_mode & 0o777 == permissions
