@@ -13,6 +13,8 @@ from typing import Any
 from nerf_rl import __version__
 from nerf_rl.errors import FailureError, UnknownNameError, UserError
 
+_LONGEST_SENTENCE = 4000  # characters; lists of what is available are long
+
 
 @dataclasses.dataclass(frozen=True)
 class Command:
@@ -111,10 +113,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         config = parse(name, rest)
         _load(COMMANDS[name].function)(config)
     except UserError as error:
-        print(f"nerf-rl {name}: {error}", file=sys.stderr)
+        print(f"nerf-rl {name}: {_one_line(error)}", file=sys.stderr)
         return 2
     except FailureError as error:
-        print(f"nerf-rl {name}: {error}", file=sys.stderr)
+        print(f"nerf-rl {name}: {_one_line(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print(f"nerf-rl {name}: interrupted", file=sys.stderr)
@@ -136,6 +138,14 @@ def parse(name: str, arguments: Sequence[str]) -> Any:
 
     command = COMMANDS[name]
     return parse_config(_load(command.config), f"nerf-rl {name}", command.help, arguments, command.positional)
+
+
+def _one_line(error: Exception) -> str:
+    """Return an error's sentence on one line of readable length, whatever a damaged file has brought into it."""
+    sentence = "".join(sign if sign.isprintable() else " " for sign in str(error))
+    sentence = " ".join(sentence.split())
+    half = _LONGEST_SENTENCE // 2
+    return sentence if len(sentence) <= _LONGEST_SENTENCE else f"{sentence[:half]} ... {sentence[-half:]}"
 
 
 def _load(target: str) -> Any:

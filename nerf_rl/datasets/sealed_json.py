@@ -1,12 +1,11 @@
 """JSON files that carry a checksum of themselves, so that any changed byte of them is found."""
 
 import hashlib
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from nerf_rl.runs import json_text, write_text
+from nerf_rl.runs import json_text, parse_json, write_text
 
 CHECKSUM = "checksum"
 
@@ -26,7 +25,7 @@ def is_whole(path: Path) -> bool:
     """Tell whether a file has, to the byte, what :func:`write_sealed` writes."""
     try:
         text = path.read_bytes()
-        content = json.loads(text)
+        content = parse_json(text)
         return isinstance(content, dict) and json_text(sealed(content)).encode() == text
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return False

@@ -16,8 +16,10 @@ import numpy as np
 from numpy import ndarray
 
 from nerf_rl.datasets.sealed_json import CHECKSUM, is_whole
+from nerf_rl.datasets.stored_manifest import COUNTS, MANIFEST_STRUCTURE, StoredManifest
 from nerf_rl.errors import MissingFileError
 from nerf_rl.runs import read_json, rename_durably
+from nerf_rl.structure import mapping, whole
 
 SCHEMA_VERSION = 1
 MANIFEST = "manifest.json"
@@ -220,17 +222,19 @@ def read_manifest(folder: Path) -> dict:
         elif (folder / SHARDS).is_dir():
             reason, remedy = "it is not finished", "finish it with the same command and --resume true"
         raise MissingFileError("a dataset", folder, reason, remedy)
+    mend = f"mend it with: nerf-rl check {folder} --repair true"
     try:
-        manifest = read_json(path)
-        version = manifest["schema_version"]
-        if CHECKSUM in manifest and not is_whole(path):
+        content = read_json(path)
+        mapping({"schema_version": whole()}, others=True)(content, "")
+        version = content["schema_version"]
+        if version != SCHEMA_VERSION:
+            raise MissingFileError("a dataset for this version", folder, f"its schema version is {version}", remedy)
+        if CHECKSUM in content and not is_whole(path):
             raise ValueError("its checksum is that of another content")
-    except (ValueError, KeyError, TypeError) as error:
-        remedy = f"mend it with: nerf-rl check {folder} --repair true"
-        raise MissingFileError("a dataset", folder, f"{MANIFEST} is damaged", remedy) from error
-    if version != SCHEMA_VERSION:
-        raise MissingFileError("a dataset for this version", folder, f"its schema version is {version}", remedy)
-    return manifest
+        MANIFEST_STRUCTURE(content, "")
+    except (OSError, ValueError) as error:
+        raise MissingFileError("a dataset", folder, f"{MANIFEST} is damaged", f"{mend} ({error})") from error
+    return StoredManifest(path, content)
 
 
 def read_unfinished(folder: Path) -> dict:
@@ -246,13 +250,20 @@ def read_unfinished(folder: Path) -> dict:
     if (folder / MANIFEST).is_file() or description is None:
         return read_manifest(folder)
     content = read_json(description)
-    config = content["config"]
     entries = []
-    for first in range(0, config["episodes"], config["episodes_per_shard"]):
-        file = shard_file(first // config["episodes_per_shard"])
-        if (folder / file).is_file():
-            episodes = min(config["episodes_per_shard"], config["episodes"] - first)
-            entries.append({"file": file, "frames": episodes * config["frames_per_episode"]})
-    if not entries:
-        raise MissingFileError("a dataset", folder, "it has no whole shard yet", "wait for the first one")
-    return {**content, "frames": sum(entry["frames"] for entry in entries), "shards": entries}
+    try:
+        mapping({"config": mapping(COUNTS, others=True)}, others=True)(content, "")
+        config = content["config"]
+        for path in sorted((folder / SHARDS).glob("[0-9]*.h5")):
+            first = int(path.stem) * config["episodes_per_shard"] if path.stem.isdecimal() else config["episodes"]
+            if first < config["episodes"]:
+                episodes = min(config["episodes_per_shard"], config["episodes"] - first)
+                entries.append({"file": f"{SHARDS}/{path.name}", "frames": episodes * config["frames_per_episode"]})
+        if not entries:
+            raise MissingFileError("a dataset", folder, "it has no whole shard yet", "wait for the first one")
+        whole_so_far = {**content, "frames": sum(entry["frames"] for entry in entries), "shards": entries}
+        MANIFEST_STRUCTURE(whole_so_far, "")
+    except ValueError as error:
+        remedy = "go on with the same command and --resume true"
+        raise MissingFileError("a dataset", folder, f"{description.name} is damaged ({error})", remedy) from error
+    return StoredManifest(description, whole_so_far)
