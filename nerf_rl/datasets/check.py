@@ -10,6 +10,7 @@ from nerf_rl.datasets.check_config import CheckConfig
 from nerf_rl.datasets.frame_checks import array_faults, view_faults
 from nerf_rl.datasets.output_record import PLAN
 from nerf_rl.datasets.sealed_json import is_whole
+from nerf_rl.datasets.shard_layout import known_arrays, locate_arrays
 from nerf_rl.datasets.shards import MANIFEST, SHARDS, read_manifest, sha256_of
 from nerf_rl.errors import FailureError
 from nerf_rl.progress import Progress
@@ -96,7 +97,6 @@ def shard_problems(folder: Path, manifest: dict[str, Any]) -> Iterator[Problem]:
         manifest: an undamaged one.
     """
     entries = {entry["file"]: entry for entry in manifest["shards"]}
-    cameras = [camera["name"] for camera in manifest["cameras"]]
     expected = manifest["config"]["episodes"] * manifest["config"]["frames_per_episode"]
     if sum(entry["frames"] for entry in entries.values()) != expected:
         yield Problem(MANIFEST, f"it counts other than {expected} frames")
@@ -105,29 +105,32 @@ def shard_problems(folder: Path, manifest: dict[str, Any]) -> Iterator[Problem]:
             yield Problem(f"{SHARDS}/{path.name}", f"{MANIFEST} does not name it")
     with Progress(len(entries), "shards") as progress:
         for file, entry in entries.items():
-            fault = _shard_fault(folder / file, entry, cameras, len(manifest["classes"]))
+            fault = _shard_fault(folder / file, entry, manifest)
             if fault:
                 yield Problem(file, fault)
             progress.advance()
 
 
-def _shard_fault(path: Path, entry: dict[str, Any], cameras: list[str], classes: int) -> str | None:
+def _shard_fault(path: Path, entry: dict[str, Any], manifest: dict[str, Any]) -> str | None:
     if not path.is_file():
         return "it is missing"
-    if sha256_of(path) != entry["sha256"]:
+    if sha256_of(path) != entry.get("sha256"):
         return "its content has changed since it was made"
+    cameras = [camera["name"] for camera in manifest["cameras"]]
     try:
         with h5py.File(path, "r") as file:
-            return next(_content_faults(file, entry["frames"], cameras, classes), None)
-    except (OSError, KeyError, RuntimeError) as error:
+            frames = len(file["rgb"])
+        if frames != entry["frames"]:
+            return f"it has {frames} frames instead of {entry['frames']}"
+        locate_arrays(path, frames, known_arrays(manifest))
+        with h5py.File(path, "r") as file:
+            return next(_content_faults(file, frames, cameras, len(manifest["classes"])), None)
+    except (OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
         return f"it cannot be read ({error})"
 
 
 def _content_faults(file: h5py.File, frames: int, cameras: list[str], classes: int) -> Iterator[str]:
     """Yield what is wrong with a shard's frames."""
-    if len(file["rgb"]) != frames:
-        yield f"it has {len(file['rgb'])} frames instead of {frames}"
-        return
     episodes, steps = file["episode"][:], file["step"][:]
     for first in range(0, frames, _FRAMES_AT_ONCE):
         part = slice(first, first + _FRAMES_AT_ONCE)

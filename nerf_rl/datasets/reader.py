@@ -7,31 +7,21 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from io import FileIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import h5py
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
 from nerf_rl.cameras import projection_matrix
+from nerf_rl.datasets.shard_layout import ArrayLocation, ShardError, known_arrays, locate_arrays
 from nerf_rl.datasets.shards import SPLIT_NAMES, read_manifest, read_unfinished
 from nerf_rl.errors import MissingFileError, UnknownNameError, UserError
 
 _MOST_OPEN_FILES = 128  # a large dataset has more shards than a process may have open files
 _MOST_BYTES = 1 << 26  # of one read
 _COMPARED = 3  # layouts of shards
-
-
-class _ArrayLocation(NamedTuple):
-    """Where a contiguous array lies in its shard file."""
-
-    offset: int
-    shape: tuple[int, ...]
-    """of one frame"""
-    dtype: np.dtype
-    constant: bool
-    """whether the array holds one row for all frames"""
+_BYTES_OF_A_PIXEL = 8  # colour, depth and label
 
 
 class MultiViewDataset:
@@ -45,19 +35,25 @@ class MultiViewDataset:
         unfinished: take what there is of one that is being written: the shards that are whole when it is opened.
 
     Raises:
-        MissingFileError: the folder holds no finished dataset, or a shard is missing.
+        MissingFileError: the folder holds no finished dataset, or a shard is missing or too short.
     """
 
     def __init__(self, folder: Path | str, unfinished: bool = False):
         self.folder = Path(folder)
         self.manifest: dict[str, Any] = (read_unfinished if unfinished else read_manifest)(self.folder)
+        if not all(self.manifest[key] for key in ("shards", "cameras", "classes", "columns")):
+            raise MissingFileError("a dataset", self.folder, "its manifest names no shards", "make the dataset again")
         self._paths = [self.folder / shard["file"] for shard in self.manifest["shards"]]
         remedy = "make the dataset again with --resume true"
-        for path in self._paths:
+        views, pixels = len(self.manifest["cameras"]), self.manifest.get("height", 1) * self.manifest.get("width", 1)
+        for path, shard in zip(self._paths, self.manifest["shards"], strict=True):
             if not path.is_file():
                 raise MissingFileError("a whole dataset", self.folder, f"{path.name} is missing", remedy)
+            if path.stat().st_size < shard["frames"] * views * pixels * _BYTES_OF_A_PIXEL:
+                reason = f"{path.name} is too short for the {shard['frames']} frames that the manifest counts"
+                raise MissingFileError("a whole dataset", self.folder, reason, remedy)
         self._first = np.cumsum([0, *(shard["frames"] for shard in self.manifest["shards"])])
-        self._arrays: dict[int, Mapping[str, _ArrayLocation]] = {}
+        self._arrays: dict[int, Mapping[str, ArrayLocation]] = {}
         self._open = lru_cache(_MOST_OPEN_FILES)(_open_unbuffered)
 
     def __len__(self) -> int:
@@ -117,6 +113,7 @@ class MultiViewDataset:
 
         Raises:
             UnknownNameError: the dataset has no such array.
+            ShardError: a shard is damaged, cut off or laid out otherwise than shards are.
             IndexError: a frame index is negative or beyond the last frame, or there is none.
         """
         indices = np.arange(len(self)) if frames is None else np.asarray(frames, dtype=np.int64)
@@ -133,6 +130,8 @@ class MultiViewDataset:
         for begin, end in itertools.pairwise([0, *breaks.tolist(), len(indices)]):  # runs of neighbours in one shard
             shard = int(shard_of[begin])
             location, file = self._location(shard, name), self._open(self._paths[shard])
+            if (location.shape, location.dtype) != (like.shape, like.dtype):
+                raise ShardError(self._paths[shard], f"{name} has another shape than in {self._paths[0].name}")
             if location.constant:
                 rows[begin:end] = _read_rows(file, location.offset, location, 1)
                 continue
@@ -151,9 +150,10 @@ class MultiViewDataset:
         intrinsics, poses = self.cameras(frames)
         return projection_matrix(np.broadcast_to(intrinsics, (len(poses), *intrinsics.shape)), poses)
 
-    def _location(self, shard: int, name: str) -> _ArrayLocation:
+    def _location(self, shard: int, name: str) -> ArrayLocation:
         if shard not in self._arrays:
-            found = _locate_arrays(self._paths[shard])
+            frames = self.manifest["shards"][shard]["frames"]
+            found = locate_arrays(self._paths[shard], frames, known_arrays(self.manifest))
             # nearly all shards are laid out alike, and then share one description
             self._arrays[shard] = next(
                 (known for known in list(self._arrays.values())[:_COMPARED] if known == found), found
@@ -175,11 +175,11 @@ def _open_unbuffered(path: Path) -> FileIO:
     return FileIO(path)
 
 
-def _read_rows(file: FileIO, offset: int, location: _ArrayLocation, count: int) -> ndarray:
+def _read_rows(file: FileIO, offset: int, location: ArrayLocation, count: int) -> ndarray:
     """Read neighbouring rows without moving the file's position, which forked processes share.
 
     Raises:
-        OSError: the file ends before them.
+        ShardError: the file ends before them.
     """
     rows = np.empty((count, *location.shape), location.dtype)
     view = rows.data.cast("B")
@@ -187,21 +187,6 @@ def _read_rows(file: FileIO, offset: int, location: _ArrayLocation, count: int) 
     while done < len(view):
         got = os.preadv(file.fileno(), [view[done:]], offset + done)
         if got == 0:
-            raise OSError(f"{file.name} ends after {offset + done} bytes, within an array; make the dataset again")
+            raise ShardError(Path(str(file.name)), f"{file.name} ends after {offset + done} bytes, within an array")
         done += got
     return rows
-
-
-def _locate_arrays(path: Path) -> dict[str, _ArrayLocation]:
-    """Return where the arrays of a shard lie."""
-    found = {}
-    with h5py.File(path, "r") as file:
-
-        def visit(name: str, item: h5py.Group | h5py.Dataset) -> None:
-            if isinstance(item, h5py.Dataset):
-                constant = name.startswith("cameras/") and item.ndim == 3  # view, row, column: nothing for the frame
-                shape = item.shape if constant else item.shape[1:]
-                found[name] = _ArrayLocation(item.id.get_offset() or 0, shape, item.dtype, constant)  # empty: no offset
-
-        file.visititems(visit)
-    return found
