@@ -9,12 +9,20 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
-from nerf_rl.pretrain.artefact import DESCRIPTION, WEIGHTS, read_description
+from nerf_rl.pretrain.artefact import (
+    DESCRIPTION,
+    FORMAT,
+    SIMULATORS,
+    WEIGHTS,
+    is_checkpoint,
+    read_description,
+)
+from nerf_rl.pretrain.checkpoint_file import encoder_weights
 from nerf_rl.pretrain.config import EncoderConfig
 from nerf_rl.pretrain.encoder_rig import EncoderRig
 from nerf_rl.pretrain.precision import in_full_precision
 from nerf_rl.runs import package_versions, write_json
-from nerf_rl.tensor_files import write_tensors
+from nerf_rl.tensor_files import filled, read_tensors, write_tensors
 
 
 class Encoder(nn.Module):
@@ -26,6 +34,11 @@ class Encoder(nn.Module):
     Args:
         config: sizes.
         rig: the cameras that it is trained on.
+
+    Attributes:
+        scene, quality, detail: what is rendered for it, and how.
+        renderer: the OpenGL implementation that made its dataset, as that says; empty if it is not known.
+        simulators: versions of the packages that decide what its dataset's pictures show, by name.
     """
 
     latent_mean: Tensor
@@ -36,6 +49,8 @@ class Encoder(nn.Module):
         self.config, self.rig = config, rig
         self.scene, self.quality = "", "fast"
         self.detail: float | None = None
+        self.renderer = ""
+        self.simulators: dict[str, str] = {}
         patch, widths = config.patch, config.channels
         blocks: list[nn.Module] = [nn.Conv2d(3, widths[0], patch, stride=patch), _norm(widths[0]), nn.ReLU()]
         for before, after in pairwise(widths):
@@ -76,18 +91,31 @@ class Encoder(nn.Module):
         """Return latents with zero mean and unit deviation over the training data."""
         return (latent - self.latent_mean) / self.latent_std
 
-    def save(self, folder: Path, extra: dict[str, Any]) -> None:
-        """Write ``encoder.safetensors`` and ``encoder.json``; ``extra`` joins the description."""
-        write_tensors(folder / WEIGHTS, self.state_dict())
-        description = {
-            "format": 1,
+    def describe(self) -> dict[str, Any]:
+        """Return what ``encoder.json`` says of the encoder itself; :meth:`described` reads it."""
+        return {
+            "format": FORMAT,
             "architecture": asdict(self.config),
             "rig": self.rig.to_json(),
             "scene": {"name": self.scene, "quality": self.quality, "detail": self.detail},
-            "packages": package_versions(),
-            **extra,
+            "renderer": self.renderer,
+            "packages": {**package_versions(), **self.simulators},
         }
-        write_json(folder / DESCRIPTION, description)
+
+    def save(self, folder: Path, extra: dict[str, Any]) -> None:
+        """Write ``encoder.safetensors`` and ``encoder.json``; ``extra`` joins the description."""
+        write_tensors(folder / WEIGHTS, self.state_dict())
+        write_json(folder / DESCRIPTION, {**self.describe(), **extra})
+
+    @classmethod
+    def described(cls, description: dict[str, Any]) -> "Encoder":
+        """Return an untrained encoder that is otherwise the one described."""
+        encoder = cls(EncoderConfig(**description["architecture"]), EncoderRig.from_json(description["rig"]))
+        scene, packages = description["scene"], description.get("packages", {})
+        encoder.scene, encoder.quality, encoder.detail = scene["name"], scene["quality"], scene.get("detail")
+        encoder.renderer = description.get("renderer", "")
+        encoder.simulators = {name: packages[name] for name in SIMULATORS if name in packages}
+        return encoder
 
     @classmethod
     def load(cls, path: Path | str) -> "Encoder":
@@ -97,13 +125,12 @@ class Encoder(nn.Module):
             path: a run folder, the folder or a file of an exported encoder, or a Lightning checkpoint of a run.
 
         Raises:
-            MissingFileError: there is no encoder at the path.
+            MissingFileError: there is no encoder at the path, or it is damaged.
         """
         folder, description = read_description(path)
-        encoder = cls(EncoderConfig(**description["architecture"]), EncoderRig.from_json(description["rig"]))
-        scene = description["scene"]
-        encoder.scene, encoder.quality, encoder.detail = scene["name"], scene["quality"], scene.get("detail")
-        encoder.load_state_dict(_weights(Path(path), folder))
+        file = Path(path) if is_checkpoint(path) else folder / WEIGHTS
+        weights = encoder_weights(file) if is_checkpoint(path) else read_tensors(file)
+        encoder = filled(lambda: cls.described(description), weights, file)
         return encoder.eval().requires_grad_(False)
 
 
@@ -114,14 +141,3 @@ def _hidden(before: int, after: int) -> list[nn.Module]:
 
 def _norm(channels: int) -> nn.GroupNorm:
     return nn.GroupNorm(next(groups for groups in (8, 4, 2, 1) if channels % groups == 0), channels)
-
-
-def _weights(path: Path, folder: Path) -> dict[str, Tensor]:
-    """Return an encoder's weights from a checkpoint, if the path is one, else from the exported file."""
-    from safetensors.torch import load_file
-
-    if path.suffix != ".ckpt":
-        return load_file(folder / WEIGHTS)
-    state = torch.load(path, map_location="cpu", weights_only=True)["state_dict"]
-    prefix = "encoder."
-    return {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}

@@ -10,9 +10,10 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from nerf_rl.pretrain.config import FieldConfig
+from nerf_rl.pretrain.field_description import DESCRIPTION, FORMAT, WEIGHTS, read_field_description
 from nerf_rl.pretrain.precision import in_full_precision
-from nerf_rl.runs import read_json, write_json
-from nerf_rl.tensor_files import write_tensors
+from nerf_rl.runs import write_json
+from nerf_rl.tensor_files import filled, read_tensors, write_tensors
 
 _COARSE_OCTAVES = 2  # that moving frames always see
 _DENSITY_SCALE = 10.0  # so that the network's outputs of order one are both empty and solid, at the scene's scale
@@ -134,20 +135,25 @@ class RadianceField(nn.Module):
 
     def save(self, folder: Path) -> None:
         """Write ``field.safetensors`` and ``field.json``."""
-        write_tensors(folder / "field.safetensors", self.state_dict())
-        write_json(folder / "field.json", {"config": asdict(self.config), "bounds": asdict(self.bounds), **self.sizes})
+        write_tensors(folder / WEIGHTS, self.state_dict())
+        description = {"format": FORMAT, "config": asdict(self.config), "bounds": asdict(self.bounds), **self.sizes}
+        write_json(folder / DESCRIPTION, description)
 
     @classmethod
     def load(cls, folder: Path) -> "RadianceField":
-        """Read a field that :meth:`save` wrote."""
-        from safetensors.torch import load_file
+        """Read a field that :meth:`save` wrote.
 
-        described = read_json(folder / "field.json")
+        Raises:
+            MissingFileError: there is none, it is damaged, or of another format.
+        """
+        described = read_field_description(folder)
         bounds = FieldBounds(**{**described["bounds"], "centre": tuple(described["bounds"]["centre"])})
         sizes = {name: described[name] for name in ("latent", "classes", "teacher_features")}
-        field = cls(FieldConfig(**described["config"]), bounds, **sizes)
-        field.load_state_dict(load_file(folder / "field.safetensors"))
-        return field.eval()
+
+        def make() -> RadianceField:
+            return cls(FieldConfig(**described["config"]), bounds, **sizes)
+
+        return filled(make, read_tensors(folder / WEIGHTS), folder / WEIGHTS).eval()
 
 
 def contract(x: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3"]:

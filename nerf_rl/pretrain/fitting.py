@@ -18,6 +18,7 @@ from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.data_module import NO_FRAME, MultiViewDataModule
 from nerf_rl.pretrain.distributed import is_lost_connection
 from nerf_rl.pretrain.figures import describe_validation
+from nerf_rl.pretrain.latent_statistics import measure_latents
 from nerf_rl.pretrain.launch import LostProcessError
 from nerf_rl.pretrain.linear_probe import ProbeResult, probe_encoder
 from nerf_rl.pretrain.module import SnerlModule
@@ -120,8 +121,9 @@ def _export(module: SnerlModule, dataset: MultiViewDataset, config: PretrainConf
     """Probe the encoder, set its latents' statistics, and write encoder and field."""
     encoder = module.encoder.cpu().eval().requires_grad_(False)
     probe = probe_encoder(encoder, dataset, config.probe_frames, config.seed)
-    encoder.latent_mean.copy_(torch.from_numpy(probe.latents.mean(0)))
-    encoder.latent_std.copy_(torch.from_numpy(probe.latents.std(0)).clamp_min(1e-4))
+    mean, deviation = measure_latents(encoder, dataset)
+    encoder.latent_mean.copy_(mean)
+    encoder.latent_std.copy_(deviation)
     description = {
         "classes": list(dataset.class_names),
         "palette": dataset.palette.tolist(),

@@ -11,13 +11,16 @@ from torch import Tensor
 
 from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.metrics import confusion_matrix, intersection_over_union, psnr_db
+from nerf_rl.pretrain.artefact import SIMULATORS
 from nerf_rl.pretrain.batches import RayBatch
+from nerf_rl.pretrain.checkpoint_file import ENCODER
 from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.data_module import NO_FRAME
 from nerf_rl.pretrain.distributed import mean_over_processes, of_first_process, sum_over_processes
 from nerf_rl.pretrain.encoder import Encoder
 from nerf_rl.pretrain.encoder_rig import EncoderRig
 from nerf_rl.pretrain.field import RadianceField
+from nerf_rl.pretrain.latent_statistics import FRAMES, FRAMES_IN_TRAINING, measure_latents
 from nerf_rl.pretrain.losses import losses, weighted_sum
 from nerf_rl.pretrain.rendering import RenderedImages, SampleNoise, render_images, render_with_depth
 from nerf_rl.pretrain.statistics import Statistics
@@ -47,6 +50,9 @@ class SnerlModule(lightning.LightningModule):
         self.encoder.scene = dataset.manifest["scene"]["name"]
         self.encoder.quality = dataset.manifest["config"]["quality"]
         self.encoder.detail = dataset.manifest.get("detail")
+        self.encoder.renderer = dataset.manifest.get("renderer", "")
+        packages = dataset.manifest.get("packages", {})
+        self.encoder.simulators = {name: packages[name] for name in SIMULATORS if name in packages}
         teacher_width = sum(WIDTHS[teacher] for teacher in config.teachers)
         classes = len(dataset.class_names)
         self.field = RadianceField(
@@ -217,8 +223,16 @@ class SnerlModule(lightning.LightningModule):
         return render_images(self.field, latent, rig.intrinsics, pose, rig.height, rig.width, self.config.sampling)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Keep the time spent, which the schedule may depend on."""
+        """Keep the time spent, which the schedule may depend on, and what makes the encoder usable by itself.
+
+        That is its description and the statistics of its latents, which belong to these very weights.
+        """
         checkpoint["seconds"] = self.seconds
+        classes = {"classes": list(self._dataset.class_names), "palette": self.palette.tolist()}
+        checkpoint[ENCODER] = {**self.encoder.describe(), **classes}
+        frames = FRAMES if self.progress() >= 1.0 else FRAMES_IN_TRAINING
+        mean, deviation = measure_latents(self.encoder, self._dataset, frames)
+        checkpoint["state_dict"] |= {"encoder.latent_mean": mean, "encoder.latent_std": deviation}
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Restore the time spent."""

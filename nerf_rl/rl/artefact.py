@@ -5,11 +5,43 @@ from pathlib import Path
 from typing import Any
 
 from nerf_rl.errors import MissingFileError, UserError
-from nerf_rl.pretrain.artefact import WEIGHTS, read_description
+from nerf_rl.pretrain.artefact import WEIGHTS, is_checkpoint, read_description
 from nerf_rl.runs import read_json
+from nerf_rl.structure import flag, listing, mapping, number, one_of, optional, text, whole
 
 POLICY_VERSION = 2
 POLICY_WEIGHTS, POLICY_DESCRIPTION = "policy.safetensors", "policy.json"
+_SIZE = whole(1, 2**20)
+_WIDTHS = listing(_SIZE, 0, 64)
+_STRUCTURE = mapping(
+    {
+        "version": whole(),
+        "env": mapping(
+            {"scene": text(), "encoder": optional(text()), "action_repeat": whole(1), "episode_steps": whole(1)},
+            {"panda": mapping({}, dict.fromkeys(("control", "reward", "observation"), text()))},
+        ),
+        "network": mapping({}, others=True),
+        "observation_size": _SIZE,
+        "action_size": _SIZE,
+        "proprio_names": listing(text()),
+        "encoder_digest": optional(text()),
+        "env_steps": whole(),
+    },
+    others=True,
+)
+_DDPG = mapping(
+    {"kind": one_of("ddpg"), "hidden": listing(_SIZE, 2, 2)},
+    {"normalisation": one_of("layer", "batch", "none"), "standardise": flag},
+)
+_LAYERED = mapping(
+    {
+        "kind": one_of("layered"),
+        "hidden": _WIDTHS,
+        "activation": one_of("tanh", "relu"),
+        "bound": one_of("tanh", "clip"),
+        "observation_limit": optional(number(0.0)),
+    }
+)
 
 
 def check_encoder_scene(encoder: str | Path, scene: str) -> None:
@@ -28,7 +60,7 @@ def compare_scenes(trained: str, wanted: str) -> None:
 def encoder_digest(encoder: str | Path) -> str:
     """Return the sha256 of the file that holds an encoder's weights."""
     folder, _ = read_description(encoder)
-    weights = Path(encoder) if Path(encoder).suffix == ".ckpt" else folder / WEIGHTS
+    weights = Path(encoder) if is_checkpoint(encoder) else folder / WEIGHTS
     with open(weights, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -48,12 +80,19 @@ def check_policy(run: Path, encoder: str = "") -> dict[str, Any]:
         if not (run / name).is_file():
             remedy = "train one with nerf-rl train-rl"
             raise MissingFileError("a train-rl run with a policy", run, f"it holds no {name}", remedy)
-    description = read_json(run / POLICY_DESCRIPTION)
-    if description.get("version") != POLICY_VERSION:
-        version = description.get("version")
-        raise UserError(
-            f"the policy in {run} has format {version}, this version reads {POLICY_VERSION}; train it again"
-        )
+    remedy = "train it again"
+    try:
+        description = read_json(run / POLICY_DESCRIPTION)
+        version = description.get("version") if isinstance(description, dict) else POLICY_VERSION
+        if version != POLICY_VERSION or isinstance(version, bool):
+            raise UserError(
+                f"the policy in {run} has format {version}, this version reads {POLICY_VERSION}; train it again"
+            )
+        _STRUCTURE(description, "")
+        (_LAYERED if description["network"].get("kind") == "layered" else _DDPG)(description["network"], "network")
+    except (OSError, ValueError) as error:
+        reason = f"its {POLICY_DESCRIPTION} is damaged ({error})"
+        raise MissingFileError("a train-rl run with a policy", run, reason, remedy) from error
     env = description["env"]
     if env["encoder"] is not None:
         env["encoder"] = encoder or env["encoder"]

@@ -44,7 +44,7 @@ class EnvSpec:
 
 def spec_from_json(content: dict[str, Any]) -> EnvSpec:
     """Return the specification behind ``dataclasses.asdict(spec)``."""
-    return EnvSpec(**{**content, "panda": PandaReachConfig(**content["panda"])})
+    return EnvSpec(**{**content, "panda": PandaReachConfig(**content.get("panda", {}))})
 
 
 class ActionRepeat(gymnasium.Wrapper):

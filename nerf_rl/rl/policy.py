@@ -7,7 +7,6 @@ from typing import Any
 import torch
 from jaxtyping import Float
 from numpy import ndarray
-from safetensors.torch import load_file
 from torch import nn
 
 from nerf_rl.rl.artefact import POLICY_DESCRIPTION, POLICY_VERSION, POLICY_WEIGHTS, check_policy
@@ -16,7 +15,7 @@ from nerf_rl.rl.envs import EnvSpec, spec_from_json
 from nerf_rl.rl.networks import Actor, LayeredActor, LayeredConfig
 from nerf_rl.rl.normalisation import RunningNorm
 from nerf_rl.runs import package_versions, write_json
-from nerf_rl.tensor_files import write_tensors
+from nerf_rl.tensor_files import filled, read_tensors, write_tensors
 
 _KINDS: dict[type, str] = {NetworkConfig: "ddpg", LayeredConfig: "layered"}
 
@@ -73,8 +72,9 @@ class Policy:
         description = content["network"]
         kinds = {kind: network for network, kind in _KINDS.items()}
         network = kinds[description.pop("kind")](**description)
-        actor = make_actor(content["observation_size"], content["action_size"], network)
-        actor.load_state_dict(load_file(run / POLICY_WEIGHTS))
+        weights = run / POLICY_WEIGHTS
+        sizes = (content["observation_size"], content["action_size"])
+        actor = filled(lambda: make_actor(*sizes, network), read_tensors(weights), weights)
         names = ("observation_size", "action_size", "proprio_names", "encoder_digest", "env_steps")
         kept = {name: content[name] for name in names}
         return Policy(actor.eval().requires_grad_(False).to(device), spec_from_json(content["env"]), network, **kept)
