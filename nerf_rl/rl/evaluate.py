@@ -8,6 +8,7 @@ import numpy as np
 from nerf_rl.devices import check_device, resolve_device
 from nerf_rl.rl.artefact import check_policy
 from nerf_rl.rl.config import EvaluateConfig
+from nerf_rl.rl.rendering_match import warn_of_workers_rendering
 from nerf_rl.runs import SUMMARY, prepare_output, write_json, write_provenance
 
 if TYPE_CHECKING:
@@ -39,6 +40,8 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
     seeds = evaluation_seeds(config.seed, max(config.episodes, config.video_episodes))
     envs = make_vector_env(policy.spec, min(config.envs, config.episodes), str(device))
     try:
+        if policy.spec.encoder is not None:
+            warn_of_workers_rendering(policy.spec.encoder, envs)
         summary = run_episodes(envs, policy.act, seeds[: config.episodes]).summary()
     finally:
         envs.close(terminate=True)

@@ -1,5 +1,6 @@
 """A frozen encoder's latent as a Gymnasium observation."""
 
+import multiprocessing
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from numpy import ndarray
 from nerf_rl.datasets.renderer import MultiViewRenderer
 from nerf_rl.datasets.shown_state import ShownState
 from nerf_rl.pretrain.encoder import Encoder
+from nerf_rl.rl.rendering_match import warn_of_other_rendering
 
 
 class LatentObservation(gymnasium.ObservationWrapper):
@@ -73,6 +75,11 @@ class LatentObservation(gymnasium.ObservationWrapper):
             parts.append(self._proprio(observation))
         return np.concatenate(parts).astype(np.float32)
 
+    @property
+    def gl_renderer(self) -> str:
+        """The name of the OpenGL implementation that renders here."""
+        return self._make_renderer().gl_renderer
+
     def close(self) -> None:
         """Release the renderer and the environment."""
         if self._renderer is not None:
@@ -80,12 +87,21 @@ class LatentObservation(gymnasium.ObservationWrapper):
             self._renderer = None
         super().close()
 
-    def _render(self) -> UInt8[ndarray, "V H W 3"]:
-        simulation: Any = self.env.unwrapped
-        rig = self.encoder.rig
-        if self._renderer is None or self._shown is None:  # created late, in the process that renders
+    def _make_renderer(self) -> MultiViewRenderer:
+        """Return the renderer, which is created late, in the process that renders."""
+        if self._renderer is None:
+            simulation: Any = self.env.unwrapped
+            rig = self.encoder.rig
             self._shown = ShownState(simulation.model)
             self._renderer = MultiViewRenderer(
                 simulation.model, rig.height, rig.width, len(rig.names), self.encoder.quality, self.encoder.detail
             )
-        return self._renderer.render_rgb(self._shown.of(simulation.data), rig.intrinsics, rig.camera_from_world)
+            if multiprocessing.parent_process() is None:  # a learner tells for its workers
+                warn_of_other_rendering(self.encoder.renderer, self.encoder.simulators, self._renderer.gl_renderer)
+        return self._renderer
+
+    def _render(self) -> UInt8[ndarray, "V H W 3"]:
+        renderer, rig = self._make_renderer(), self.encoder.rig
+        simulation: Any = self.env.unwrapped
+        assert self._shown is not None
+        return renderer.render_rgb(self._shown.of(simulation.data), rig.intrinsics, rig.camera_from_world)

@@ -10,6 +10,7 @@ from nerf_rl.extras import import_extra
 from nerf_rl.progress import Progress
 from nerf_rl.rl.artefact import check_encoder_scene
 from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
+from nerf_rl.rl.rendering_match import warn_of_workers_rendering
 from nerf_rl.rl.run_record import OnEvaluation, RunRecord
 from nerf_rl.runs import prepare_output, require_same_keys, write_provenance
 
@@ -51,6 +52,8 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
 
     envs = make_vector_env(spec, config.envs, str(resolve_device(config.device)))
     try:
+        if encoder is not None:
+            warn_of_workers_rendering(encoder, envs)
         sizes = (_size(envs.single_observation_space), _size(envs.single_action_space))
         record = RunRecord(config, spec, sizes, list(proprio_names if encoder else ()), on_evaluation)
         train = _train if config.algo == "ddpg" else _train_baseline
