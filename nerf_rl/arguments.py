@@ -1,5 +1,6 @@
 """From command-line arguments and recipe files to a configuration dataclass, with mistakes told in one sentence."""
 
+import copy
 import dataclasses
 import re
 import typing
@@ -51,7 +52,7 @@ def config_of(config: type, content: Mapping[str, Any]) -> Any:
     parser = ArgumentParser(exit_on_error=False)
     parser.add_class_arguments(config)
     try:
-        namespace = parser.instantiate(parser.parse_object(dict(content)))
+        namespace = parser.instantiate(parser.parse_object(copy.deepcopy(dict(content))))
         return config(**{field.name: namespace[field.name] for field in dataclasses.fields(config)})
     except (ArgumentError, ValueError, TypeError) as error:
         raise _explain(str(error), config) from error

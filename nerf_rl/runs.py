@@ -16,7 +16,7 @@ from typing import Any
 import yaml
 
 from nerf_rl import __version__
-from nerf_rl.errors import OutputExistsError, UserError
+from nerf_rl.errors import OutputExistsError
 
 _RECORDED_PACKAGES = ("torch", "torchrl", "lightning", "mujoco", "metaworld", "gymnasium", "h5py", "numpy", "optuna")
 PROVENANCE = "provenance.json"
@@ -57,24 +57,6 @@ def prepare_output(
     if _in_use(folder) and not (resume and can_resume):
         _empty(folder)
     folder.mkdir(parents=True, exist_ok=True)
-
-
-def require_same_keys(folder: Path, content: dict[str, Any]) -> None:
-    """Check that a run to be resumed was begun with the same keys.
-
-    Args:
-        folder: of the run; its ``config.yaml`` is compared.
-        content: the keys that must not change.
-
-    Raises:
-        UserError: some differ; the message names them.
-    """
-    stored = yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8"))
-    other = [key for key, value in plain(content).items() if stored.get(key) != value]
-    if other:
-        raise UserError(
-            f"{folder} was begun with another --{', --'.join(other)}; resume with the same or use another --out"
-        )
 
 
 def _in_use(folder: Path) -> bool:

@@ -8,7 +8,7 @@ import h5py
 
 from nerf_rl.datasets.check_config import CheckConfig
 from nerf_rl.datasets.frame_checks import array_faults, view_faults
-from nerf_rl.datasets.output_record import PLAN
+from nerf_rl.datasets.plan import PLAN
 from nerf_rl.datasets.sealed_json import is_whole
 from nerf_rl.datasets.shard_layout import known_arrays, locate_arrays
 from nerf_rl.datasets.shards import MANIFEST, SHARDS, read_manifest, sha256_of

@@ -33,7 +33,7 @@ def generate_dataset(config: GenDatasetConfig) -> None:
     record.check()
     studio = open_studio(config)
     try:
-        description, gl_renderer = describe(config, studio), studio.renderer.gl_renderer
+        description, gl_renderer = describe(config, studio, record.plan), studio.renderer.gl_renderer
     finally:
         studio.renderer.close()
     warn_of_software_rendering(gl_renderer)
@@ -81,7 +81,7 @@ def _render(config: GenDatasetConfig, record: OutputRecord, done: dict[int, Rend
     absolute = dataclasses.replace(config, out=str(record.dataset.absolute()))
     with (
         Progress(total, "frames", done=kept) as progress,
-        contextlib.closing(render_shards(absolute, missing, progress.say)) as rendered,
+        contextlib.closing(render_shards(absolute, missing, progress.say, record.plan)) as rendered,
     ):
         for shard in rendered:
             done[shard.shard] = shard

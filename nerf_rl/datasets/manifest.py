@@ -8,6 +8,7 @@ from typing import Any
 import h5py
 
 from nerf_rl.datasets.config import GenDatasetConfig
+from nerf_rl.datasets.plan import Plan, plan_digest
 from nerf_rl.datasets.semantics import palette
 from nerf_rl.datasets.shard_rendering import (
     PLAN_ATTRIBUTE,
@@ -15,21 +16,26 @@ from nerf_rl.datasets.shard_rendering import (
     SCENE_ATTRIBUTE,
     RenderedShard,
     Studio,
-    plan_digest,
     shard_episodes,
 )
 from nerf_rl.datasets.shards import SCHEMA_VERSION, sha256_of, shard_file, shard_path
-from nerf_rl.runs import package_versions, plain
+from nerf_rl.runs import package_versions
 
 
-def describe(config: GenDatasetConfig, studio: Studio) -> dict[str, Any]:
-    """Return what a manifest says that does not depend on the shards."""
+def describe(config: GenDatasetConfig, studio: Studio, plan: Plan) -> dict[str, Any]:
+    """Return what a manifest says that does not depend on the shards.
+
+    Args:
+        config: of the dataset.
+        studio: that renders it.
+        plan: that the dataset was begun with.
+    """
     names = studio.classes.names
     scene, rig = studio.scene, studio.rig
     action_names = [f"action_{i}" for i in range(studio.layout["state/action"][0][0])]
     return {
         "schema_version": SCHEMA_VERSION,
-        "config": plain(config.content()),
+        "config": plan,
         "scene": scene.provenance(),
         "packages": package_versions(),
         "height": config.size,
@@ -74,7 +80,7 @@ def shard_entry(shard: RenderedShard) -> dict[str, Any]:
 
 
 def finished_shard(
-    folder: Path, config: GenDatasetConfig, shard: int, scene: Mapping[str, Any]
+    folder: Path, config: GenDatasetConfig, shard: int, scene: Mapping[str, Any], plan: Plan
 ) -> RenderedShard | None:
     """Return what is known of a shard on disk, or None if it is missing or of another configuration or scene.
 
@@ -83,12 +89,13 @@ def finished_shard(
         config: of the dataset.
         shard: its number.
         scene: the scene's provenance; a model that changed since, or another MuJoCo, would render otherwise.
+        plan: that the dataset was begun with.
     """
     path, frames = shard_path(folder, shard), len(shard_episodes(config, shard)) * config.frames_per_episode
     try:
         with h5py.File(path, "r") as file:
             made_of = file.attrs[PLAN_ATTRIBUTE], file.attrs[SCENE_ATTRIBUTE]
-            if made_of != (plan_digest(config), json.dumps(scene)) or len(file["rgb"]) != frames:
+            if made_of != (plan_digest(plan), json.dumps(scene)) or len(file["rgb"]) != frames:
                 return None
             renderer = file.attrs[RENDERER_ATTRIBUTE]
     except (OSError, KeyError):

@@ -7,7 +7,7 @@ from typing import Any
 
 from nerf_rl.datasets.disk import disk_full_told, require_space
 from nerf_rl.datasets.merge_config import MergeConfig
-from nerf_rl.datasets.output_record import PLAN
+from nerf_rl.datasets.plan import PLAN, begun_plan, same_content
 from nerf_rl.datasets.sealed_json import CHECKSUM, is_whole, write_sealed
 from nerf_rl.datasets.shards import MANIFEST, PARTS, SHARDS, sha256_of, shard_file
 from nerf_rl.errors import FailureError, MissingFileError, UserError
@@ -41,7 +41,7 @@ def merge(config: MergeConfig) -> None:
     if out not in folders:
         begun = (out / PLAN).is_file()
         check_output(out, config.overwrite, config.resume, begun)
-        if config.resume and begun and read_json(out / PLAN) != description["config"]:
+        if config.resume and begun and begun_plan([out / PLAN], description["config"]) is None:
             raise UserError(f"{out} was begun with another configuration; use another --out, or --overwrite true")
         missing = [path for path, entry in sources if not (out / entry["file"]).exists()]
         size = sum(path.stat().st_size for path in missing if path.is_file())
@@ -102,7 +102,8 @@ def _common_description(manifests: dict[Path, dict[str, Any]]) -> dict[str, Any]
     (first, common), *others = described.items()
     for part, description in others:
         for key in common:
-            if description.get(key) != common[key]:
+            same = description.get(key) == common[key]
+            if not same and not (key == "config" and same_content(description.get(key), common[key])):
                 ways = (
                     f"{_shortly(common[key], description.get(key))} and {_shortly(description.get(key), common[key])}"
                 )

@@ -10,13 +10,12 @@ from typing import Any
 
 from nerf_rl.datasets.config import GenDatasetConfig
 from nerf_rl.datasets.manifest import finished_shard
+from nerf_rl.datasets.plan import PLAN, begun_plan, plan_of
 from nerf_rl.datasets.sealed_json import is_whole
 from nerf_rl.datasets.shard_rendering import RenderedShard, shard_count
 from nerf_rl.datasets.shards import MANIFEST, PARTS, SHARDS, partial_files, shard_file, shard_path
 from nerf_rl.errors import OutputExistsError, UserError
-from nerf_rl.runs import SUMMARY, check_output, plain, prepare_output, read_json, write_json, write_provenance
-
-PLAN = "plan.json"
+from nerf_rl.runs import SUMMARY, check_output, prepare_output, read_json, write_json, write_provenance
 
 
 class OutputRecord:
@@ -24,6 +23,9 @@ class OutputRecord:
 
     Args:
         config: of the run.
+
+    Attributes:
+        plan: of the dataset, as it was begun with.
     """
 
     def __init__(self, config: GenDatasetConfig):
@@ -32,7 +34,8 @@ class OutputRecord:
         self.folder = self.dataset / PARTS / f"{part}-of-{parts}" if config.shard else self.dataset
         self.manifest = self.folder / MANIFEST
         self.shards = range(part - 1, shard_count(config), parts)
-        self._plan = plain(config.content())
+        begun = begun_plan(self._plans(), plan_of(config))
+        self._is_other, self.plan = begun is None, begun or plan_of(config)
 
     def check(self) -> None:
         """Refuse a folder in use, unless an interrupted run with the same plan is to go on, before anything slow.
@@ -46,9 +49,7 @@ class OutputRecord:
             if in_use and not (self.dataset / PARTS).is_dir():
                 raise OutputExistsError(self.dataset, "it holds no parts that this one could join; use another --out")
         check_output(self.folder, config.overwrite, config.resume, begun)
-        plans = [self.folder / PLAN] if config.resume else []
-        plans += self.dataset.glob(f"{PARTS}/*/{PLAN}") if config.shard else []
-        if any(path.is_file() and not self._is_plan(path) for path in plans):
+        if self._is_other:
             raise UserError(
                 f"{self.dataset} was begun with another configuration; use the same one, or --overwrite true"
             )
@@ -68,7 +69,7 @@ class OutputRecord:
         recorded = {entry["file"]: entry["sha256"] for entry in signed or []}
         found = {}
         for number in self.shards:
-            shard = finished_shard(self.dataset, self._config, number, scene)
+            shard = finished_shard(self.dataset, self._config, number, scene, self.plan)
             if shard is not None and recorded.get(shard_file(number), shard.sha256) == shard.sha256:
                 found[number] = shard
         return found
@@ -86,18 +87,17 @@ class OutputRecord:
         config = self._config
         self.dataset.mkdir(parents=True, exist_ok=True)
         prepare_output(self.folder, config.overwrite, config.resume, self._begun())
-        write_json(self.folder / PLAN, self._plan)
+        write_json(self.folder / PLAN, self.plan)
         write_provenance(self.folder, "gen-dataset", config)
         (self.dataset / SHARDS).mkdir(exist_ok=True)
         lost = [shard_path(self.dataset, shard) for shard in self.shards if shard not in finished]
         for path in [*partial_files(self.dataset, self.shards), *lost, self.manifest, self.dataset / MANIFEST]:
             path.unlink(missing_ok=True)
 
-    def _is_plan(self, path: Path) -> bool:
-        try:
-            return read_json(path) == self._plan
-        except ValueError:
-            return False
+    def _plans(self) -> list[Path]:
+        """Return where the plan of a dataset that this run goes on with, or joins, may be written down."""
+        plans = [self.folder / PLAN] if self._config.resume else []
+        return plans + (sorted(self.dataset.glob(f"{PARTS}/*/{PLAN}")) if self._config.shard else [])
 
     def _begun(self) -> bool:
         """Tell whether an earlier run was cut off here, be it before it had written its plan."""

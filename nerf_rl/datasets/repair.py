@@ -13,7 +13,7 @@ from nerf_rl.datasets.check import Problem, shard_problems
 from nerf_rl.datasets.config import GenDatasetConfig
 from nerf_rl.datasets.disk import bytes_needed, disk_full_told, require_space
 from nerf_rl.datasets.manifest import describe, finished_shard, shard_entry, with_shards
-from nerf_rl.datasets.output_record import PLAN
+from nerf_rl.datasets.plan import PLAN, Plan
 from nerf_rl.datasets.sealed_json import write_sealed
 from nerf_rl.datasets.shard_rendering import RenderedShard, open_studio, shard_count
 from nerf_rl.datasets.shards import MANIFEST, SHARDS, read_manifest, shard_file, shard_path
@@ -56,7 +56,7 @@ def _restore(folder: Path, manifest: dict[str, Any], damaged: list[int], workers
     """Render shards anew and put them in their places if they are what the manifest says."""
     config = _config(folder, manifest["config"], workers)
     recorded = {entry["file"]: entry["sha256"] for entry in manifest["shards"]}
-    rendered = _render(folder, config, damaged)
+    rendered = _render(folder, config, damaged, manifest["config"])
     other = [shard for shard in rendered if shard.sha256 != recorded[shard_file(shard.shard)]]
     for shard in rendered:
         if shard not in other:
@@ -84,11 +84,13 @@ def _rebuild_manifest(folder: Path, workers: int) -> None:
     damaged_text = (folder / MANIFEST).read_bytes().decode(errors="replace")
     studio = open_studio(config)
     studio.renderer.close()
-    description = describe(config, studio)
-    found = (finished_shard(folder, config, number, description["scene"]) for number in range(shard_count(config)))
+    description = describe(config, studio, plan)
+    found = (
+        finished_shard(folder, config, number, description["scene"], plan) for number in range(shard_count(config))
+    )
     trusted = {shard.shard: shard for shard in found if shard is not None and shard.sha256 in damaged_text}
     doubtful = [number for number in range(shard_count(config)) if number not in trusted]
-    rendered = _render(folder, config, doubtful) if doubtful else []
+    rendered = _render(folder, config, doubtful, plan) if doubtful else []
     with contextlib.suppress(ValueError, KeyError):  # where it can still be read, it knows what the shards were made by
         description["packages"] = json.loads(damaged_text)["packages"]
     for shard in rendered:
@@ -98,7 +100,7 @@ def _rebuild_manifest(folder: Path, workers: int) -> None:
     write_sealed(folder / MANIFEST, manifest)
 
 
-def _render(folder: Path, config: GenDatasetConfig, shards: Collection[int]) -> list[RenderedShard]:
+def _render(folder: Path, config: GenDatasetConfig, shards: Collection[int], plan: Plan) -> list[RenderedShard]:
     """Render shards in a folder beside the dataset's own ones."""
     aside = folder / _ASIDE
     shutil.rmtree(aside, ignore_errors=True)
@@ -111,7 +113,7 @@ def _render(folder: Path, config: GenDatasetConfig, shards: Collection[int]) -> 
     with disk_full_told(folder, lambda: needed), Progress(len(shards), "shards") as progress:
         (aside / SHARDS).mkdir(parents=True)
         rendered = []
-        with contextlib.closing(render_shards(elsewhere, shards, progress.say)) as finished:
+        with contextlib.closing(render_shards(elsewhere, shards, progress.say, plan)) as finished:
             for shard in finished:
                 rendered.append(shard)
                 progress.advance()

@@ -1,7 +1,6 @@
 """Making one shard: act its episodes, render frames at random steps, write them. Runs in a worker process."""
 
 import functools
-import hashlib
 import itertools
 import json
 from collections.abc import Callable, Iterable
@@ -15,13 +14,14 @@ from nerf_rl.cameras import projection_matrix
 from nerf_rl.datasets.behaviours import Behaviour
 from nerf_rl.datasets.config import GenDatasetConfig
 from nerf_rl.datasets.frame_checks import array_faults, view_faults
+from nerf_rl.datasets.plan import Plan, plan_digest
 from nerf_rl.datasets.renderer import MultiViewRenderer
 from nerf_rl.datasets.rigs import Rig, make_rig
 from nerf_rl.datasets.scenes import Scene, make_scene
 from nerf_rl.datasets.semantics import SemanticClasses, semantic_classes
 from nerf_rl.datasets.shards import TRAIN, VALIDATION, Layout, ShardWriter, frame_layout, sha256_of, shard_path
 from nerf_rl.errors import FailureError
-from nerf_rl.runs import peak_rss_mb, plain
+from nerf_rl.runs import peak_rss_mb
 
 PLAN_ATTRIBUTE, SCENE_ATTRIBUTE, RENDERER_ATTRIBUTE = "plan", "scene", "renderer"
 
@@ -74,11 +74,6 @@ def shard_count(config: GenDatasetConfig) -> int:
     return -(-config.episodes // config.episodes_per_shard)
 
 
-def plan_digest(config: GenDatasetConfig) -> str:
-    """Return the SHA-256 of what decides the content; each shard carries it."""
-    return hashlib.sha256(json.dumps(plain(config.content())).encode()).hexdigest()
-
-
 def shard_episodes(config: GenDatasetConfig, shard: int) -> range:
     """Return the episodes of a shard."""
     first = shard * config.episodes_per_shard
@@ -94,13 +89,14 @@ def validation_episodes(config: GenDatasetConfig) -> frozenset[int]:
     return frozenset(int(episode) for episode in order[:count])
 
 
-def render_shard(config: GenDatasetConfig, shard: int, beat: Callable[[], None]) -> RenderedShard:
+def render_shard(config: GenDatasetConfig, shard: int, beat: Callable[[], None], plan: Plan) -> RenderedShard:
     """Write a shard. Its content depends on the configuration and its seed alone.
 
     Args:
         config: of the dataset.
         shard: its number.
         beat: called after each frame.
+        plan: that the dataset was begun with.
 
     Raises:
         FailureError: a frame is unusable.
@@ -117,7 +113,7 @@ def render_shard(config: GenDatasetConfig, shard: int, beat: Callable[[], None])
     frames = len(episodes) * config.frames_per_episode
     renderer = studio.renderer.gl_renderer
     attributes = {
-        PLAN_ATTRIBUTE: plan_digest(config),
+        PLAN_ATTRIBUTE: plan_digest(plan),
         SCENE_ATTRIBUTE: json.dumps(studio.scene.provenance()),
         RENDERER_ATTRIBUTE: renderer,
     }

@@ -9,6 +9,7 @@ import mujoco
 from joblib import Parallel, delayed
 
 from nerf_rl.datasets.config import GenDatasetConfig
+from nerf_rl.datasets.plan import Plan, plan_of
 from nerf_rl.datasets.shard_rendering import RenderedShard, render_shard
 from nerf_rl.datasets.shards import partial_files, partial_path, shard_path
 from nerf_rl.datasets.watchdog import alarm, lookout
@@ -20,7 +21,10 @@ _MOST_DEATHS = 3  # in a row, without a finished shard in between
 
 
 def render_shards(
-    config: GenDatasetConfig, shards: Collection[int], say: Callable[[str], None] = print
+    config: GenDatasetConfig,
+    shards: Collection[int],
+    say: Callable[[str], None] = print,
+    plan: Plan | None = None,
 ) -> Generator[RenderedShard, None, None]:
     """Render shards in worker processes; yields each when it is on disk.
 
@@ -31,6 +35,7 @@ def render_shards(
         config: with an absolute ``out``, a folder that all workers see.
         shards: which.
         say: called with a line when workers were lost.
+        plan: that the dataset was begun with; by default the configuration's own.
 
     Raises:
         FailureError: workers keep dying without finishing a shard, or a frame is unusable.
@@ -41,7 +46,9 @@ def render_shards(
     try:
         while missing:
             try:
-                with contextlib.closing(_render_once(config, list(missing), backend)) as rendered:
+                with contextlib.closing(
+                    _render_once(config, list(missing), backend, plan or plan_of(config))
+                ) as rendered:
                     for shard in rendered:
                         missing.remove(shard.shard)
                         in_a_row = 0
@@ -62,7 +69,9 @@ def render_shards(
         _remove_partial_files(folder, missing)
 
 
-def _render_once(config: GenDatasetConfig, shards: list[int], backend: object) -> Generator[RenderedShard, None, None]:
+def _render_once(
+    config: GenDatasetConfig, shards: list[int], backend: object, plan: Plan
+) -> Generator[RenderedShard, None, None]:
     workers = min(config.workers, len(shards))
     if config.backend == "ray":
         workers = max(workers, 2)  # for one job joblib would start no process
@@ -72,17 +81,19 @@ def _render_once(config: GenDatasetConfig, shards: list[int], backend: object) -
     watch = lookout(Path(config.out), shards, config.worker_timeout) if config.backend == "loky" else None
     with watch or contextlib.nullcontext(), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*(tasks|worker)")  # joblib and loky tell of an early end
-        with contextlib.closing(parallel(delayed(_render_watched)(config, shard) for shard in shards)) as rendered:
+        with contextlib.closing(
+            parallel(delayed(_render_watched)(config, shard, plan) for shard in shards)
+        ) as rendered:
             yield from rendered
 
 
-def _render_watched(config: GenDatasetConfig, shard: int) -> RenderedShard:
+def _render_watched(config: GenDatasetConfig, shard: int, plan: Plan) -> RenderedShard:
     """Render a shard; runs in a worker process."""
     use_one_software_thread()
     mujoco.set_mju_user_warning(lambda message: None)  # told here; it would write MUJOCO_LOG.TXT
     partial = partial_path(shard_path(Path(config.out), shard))
     with alarm(partial, config.worker_timeout) as beat:
-        return render_shard(config, shard, beat)
+        return render_shard(config, shard, beat, plan)
 
 
 def _remove_partial_files(folder: Path, shards: Collection[int]) -> None:

@@ -10,7 +10,8 @@ from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.encoder_rig import EncoderRig
 from nerf_rl.pretrain.figures import describe_validation
 from nerf_rl.pretrain.launch import rank_from_outside, run_on_each_device
-from nerf_rl.runs import SUMMARY, peak_rss_mb, prepare_output, require_same_keys, write_json, write_provenance
+from nerf_rl.runs import SUMMARY, peak_rss_mb, prepare_output, write_json, write_provenance
+from nerf_rl.stored_keys import require_same_keys
 from nerf_rl.threads import yield_while_waiting
 
 CHECKPOINT = Path("checkpoints") / "last.ckpt"
@@ -37,7 +38,7 @@ def pretrain(config: PretrainConfig) -> None:
     resumable = (folder / CHECKPOINT).is_file()
     if not rank:  # the first of several processes, or the only one
         if config.resume and resumable:
-            require_same_keys(folder, config.content())
+            require_same_keys(folder, config.content(), PretrainConfig)
         prepare_output(folder, config.overwrite, config.resume, resumable, "pretrain")
         write_provenance(folder, "pretrain", config)
         print(f"training on {len(dataset)} frames of {config.data}; writing to {folder}", flush=True)

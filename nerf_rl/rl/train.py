@@ -12,7 +12,8 @@ from nerf_rl.rl.artefact import check_encoder_scene
 from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
 from nerf_rl.rl.rendering_match import warn_of_workers_rendering
 from nerf_rl.rl.run_record import OnEvaluation, RunRecord
-from nerf_rl.runs import prepare_output, require_same_keys, write_provenance
+from nerf_rl.runs import prepare_output, write_provenance
+from nerf_rl.stored_keys import require_same_keys
 
 if TYPE_CHECKING:
     import gymnasium
@@ -118,7 +119,7 @@ def _can_resume(run: Path, config: TrainRLConfig) -> bool:
     """Tell whether the folder holds an interrupted run; raise UserError if it is one with other keys."""
     if not (run / "config.yaml").is_file():
         return False
-    require_same_keys(run, config.content())
+    require_same_keys(run, config.content(), TrainRLConfig)
     return True
 
 

@@ -27,11 +27,13 @@ from nerf_rl.runs import (
     plain,
     prepare_output,
     read_json,
-    require_same_keys,
     write_provenance,
 )
+from nerf_rl.stored_keys import require_same_keys, with_defaults
 
 _CONTENT, _ITERATIONS = "content", "iterations"
+_RUN = "train-rl's "
+"""before keys of train-rl, beside those of tune"""
 
 
 def tune(config: TuneConfig) -> dict[str, Any]:
@@ -48,7 +50,7 @@ def tune(config: TuneConfig) -> dict[str, Any]:
         check_encoder_scene(base.encoder, base.scene)
     begun = _is_search(out)
     if begun and config.resume:
-        require_same_keys(out, {**config.content(), "storage": config.storage, "study": config.study})
+        require_same_keys(out, {**config.content(), "storage": config.storage, "study": config.study}, TuneConfig)
     check_output(out, config.overwrite, config.resume, begun, "tune")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     content = _content(config, base)
@@ -107,7 +109,8 @@ def _join(storage: BaseStorage, config: TuneConfig, content: dict[str, Any]) -> 
     if _CONTENT not in study.user_attrs:
         raise UserError(f"the study {config.study} in --storage was not made by tune; use another --study")
     stored = study.user_attrs[_CONTENT]
-    other = sorted(key for key in {*stored, *content} if stored.get(key) != content.get(key))
+    complete = _with_defaults(stored)
+    other = sorted(key for key in {*stored, *content} if complete.get(key) != content.get(key))
     if other:
         raise UserError(f"the study {config.study} was begun with another {', '.join(other)}; use another --study")
     return study
@@ -117,7 +120,15 @@ def _content(config: TuneConfig, base: TrainRLConfig) -> dict[str, Any]:
     """Return what machines that share a study must agree on; recipes count by what is in them."""
     run = {key: value for key, value in plain(base).items() if key not in ("out", "resume", "overwrite")}
     keys = {key: value for key, value in config.content().items() if key not in ("recipe", "overrides", "algo")}
-    return json.loads(json.dumps({**plain(keys), **{f"train-rl's {key}": value for key, value in run.items()}}))
+    return json.loads(json.dumps({**plain(keys), **{f"{_RUN}{key}": value for key, value in run.items()}}))
+
+
+def _with_defaults(content: dict[str, Any]) -> dict[str, Any]:
+    """Return what a study was begun with, with the keys that there were not yet."""
+    own = {key: value for key, value in content.items() if not key.startswith(_RUN)}
+    run = {key.removeprefix(_RUN): value for key, value in content.items() if key.startswith(_RUN)}
+    complete = with_defaults(run, TrainRLConfig)
+    return {**with_defaults(own, TuneConfig), **{f"{_RUN}{key}": value for key, value in complete.items()}}
 
 
 def _is_search(out: Path) -> bool:
