@@ -31,6 +31,7 @@ from nerf_rl.pretrain.placement import (
 )
 from nerf_rl.pretrain.precision import lightning_precision, resolve_precision
 from nerf_rl.pretrain.reconstruction import reconstruction_grid
+from nerf_rl.pretrain.resuming import require_resumable
 from nerf_rl.pretrain.train import CHECKPOINT
 from nerf_rl.progress import Progress
 
@@ -100,6 +101,8 @@ def fit(config: PretrainConfig, dataset: MultiViewDataset, folder: Path, checkpo
     )
     data = MultiViewDataModule(dataset, config, trainer.global_rank, trainer.world_size, accelerator == "cuda")
     module = SnerlModule(config, dataset, data.statistics, data.rig)
+    if checkpoint is not None:
+        require_resumable(checkpoint, module, trainer)
     try:
         trainer.fit(module, data, ckpt_path=checkpoint, weights_only=True)
         if module.validated_step != trainer.global_step:

@@ -11,15 +11,38 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors.torch import load_file
 from torch import Tensor
 
+from nerf_rl.errors import MissingFileError
 from nerf_rl.rl.ddpg import DDPG
+from nerf_rl.rl.evaluation_results import EVALUATIONS
 from nerf_rl.runs import read_json, rename_durably, write_json
-from nerf_rl.tensor_files import write_tensors
+from nerf_rl.structure import listing, mapping, number, one_of, whole
+from nerf_rl.tensor_files import read_tensors, require_tensors, write_tensors
 
 _MODULES = ("norm", "actor", "critic", "target_actor", "target_critic")
 _TENSORS, _FACTS = "state.safetensors", "state.json"
+_REMEDY = "begin the run anew with --overwrite true, or use another --out"
+_UNNAMED = Path("the checkpoint")
+_WORD = whole(0, 2**128 - 1)
+_STRUCTURE = mapping(
+    {
+        **dict.fromkeys(("env_steps", "updates", "episodes"), whole()),
+        "credit": number(0.0),
+        "episode_index": listing(whole(), 1),
+        "seconds": number(0.0),
+        "rng": mapping(
+            {
+                "bit_generator": one_of("PCG64"),
+                "state": mapping({"state": _WORD, "inc": _WORD}),
+                "has_uint32": whole(0, 1),
+                "uinteger": whole(0, 2**32 - 1),
+            }
+        ),
+        "evaluations": EVALUATIONS,
+    },
+    others=True,
+)
 
 
 def last_checkpoint(run: Path) -> Path | None:
@@ -55,8 +78,17 @@ def save_checkpoint(
 
 
 def load_checkpoint(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Read a checkpoint: its tensors and its facts."""
-    return load_file(folder / _TENSORS), read_json(folder / _FACTS)
+    """Read a checkpoint: its tensors and its facts.
+
+    Raises:
+        MissingFileError: one of its files is missing or damaged.
+    """
+    try:
+        facts = read_json(folder / _FACTS)
+        _STRUCTURE(facts, "")
+    except (OSError, ValueError) as error:
+        raise MissingFileError("a checkpoint", folder, f"its {_FACTS} is damaged ({error})", _REMEDY) from error
+    return read_tensors(folder / _TENSORS), facts
 
 
 def agent_tensors(agent: DDPG) -> dict[str, Tensor]:
@@ -70,8 +102,18 @@ def agent_tensors(agent: DDPG) -> dict[str, Tensor]:
     return tensors
 
 
-def load_agent_tensors(agent: DDPG, tensors: Mapping[str, Tensor]) -> None:
-    """Put back what :func:`agent_tensors` returned."""
+def load_agent_tensors(agent: DDPG, tensors: Mapping[str, Tensor], source: Path = _UNNAMED) -> None:
+    """Put back what :func:`agent_tensors` returned.
+
+    Args:
+        agent: as it is at the beginning of a run.
+        tensors: of a checkpoint.
+        source: the checkpoint, to be named if it does not fit.
+
+    Raises:
+        MissingFileError: they are those of another agent.
+    """
+    require_tensors(tensors, _expected_tensors(agent, tensors), source)
     for part in _MODULES:
         getattr(agent, part).load_state_dict(below(tensors, part))
     for part in ("actor_optimiser", "critic_optimiser"):
@@ -81,6 +123,18 @@ def load_agent_tensors(agent: DDPG, tensors: Mapping[str, Tensor]) -> None:
             index, name = key.split(".", 1)
             state.setdefault(int(index), {})[name] = value
         optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
+
+
+def _expected_tensors(agent: DDPG, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Return tensors like those of an agent; moments of a parameter that was never updated may be absent."""
+    expected = agent_tensors(agent)
+    for part in ("actor_optimiser", "critic_optimiser"):
+        parameters = [p for group in getattr(agent, part).param_groups for p in group["params"]]
+        for index, parameter in enumerate(parameters):
+            if any(name.startswith(f"{part}.{index}.") for name in tensors):
+                moments = {"step": torch.zeros(()), "exp_avg": parameter, "exp_avg_sq": parameter}
+                expected |= {f"{part}.{index}.{name}": like.detach() for name, like in moments.items()}
+    return expected
 
 
 def below(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:

@@ -14,9 +14,10 @@ from torch import Tensor
 from torchrl.data import LazyMemmapStorage, ReplayBuffer
 from torchrl.data.replay_buffers.samplers import PrioritizedSampler, RandomSampler
 
-from nerf_rl.errors import UserError
+from nerf_rl.errors import MissingFileError, UserError
 from nerf_rl.rl.config import ReplayConfig
 from nerf_rl.rl.n_step import Transition
+from nerf_rl.tensor_files import require_tensors
 
 logging.getLogger("torchrl").setLevel(logging.WARNING)
 
@@ -144,13 +145,35 @@ class Replay:
             state["max_priority"] = torch.as_tensor(self._sampler.default_priority, dtype=torch.float32)
         return state
 
-    def load_state(self, state: dict[str, Tensor]) -> None:
-        """Fill an empty memory with what :meth:`state` returned; its rows are there from the oldest on."""
-        rows, stored = state["rows"], int(state["stored"])
-        self._extend(rows.roll(stored % self._capacity, 0) if len(rows) == self._capacity else rows)
+    def load_state(self, state: dict[str, Tensor], source: Path = Path("the checkpoint")) -> None:
+        """Fill an empty memory with what :meth:`state` returned; its rows are there from the oldest on.
+
+        Args:
+            state: of a checkpoint.
+            source: the checkpoint, to be named if it does not fit.
+
+        Raises:
+            MissingFileError: it is that of another memory.
+        """
+        rows = len(state["rows"]) if "rows" in state and state["rows"].dim() else 0
+        like = {"rows": torch.zeros(rows, sum(self._split)), "stored": torch.tensor(0)}
+        like["generator"] = self.generator.get_state()
+        if self.prioritised:
+            like |= {"powered_priority": torch.zeros(rows), "max_priority": torch.zeros(())}
+        require_tensors(state, like, source)
+        stored = int(state["stored"])
+        least = float(state["powered_priority"].min()) if self.prioritised and rows else 1.0
+        try:
+            if rows == 0 or rows != min(stored, self._capacity) or least <= 0:
+                raise ValueError("its rows, their number or their priorities are out of range")
+            self.generator.set_state(state["generator"])
+        except (ValueError, RuntimeError) as error:
+            remedy = "begin the run anew with --overwrite true, or use another --out"
+            reason = f"its replay memory is damaged ({error})"
+            raise MissingFileError("a checkpoint", source, reason, remedy) from error
+        self._extend(state["rows"].roll(stored % self._capacity, 0) if rows == self._capacity else state["rows"])
         self.stored = stored
         self._buffer.writer.load_state_dict({"_cursor": stored % self._capacity})
-        self.generator.set_state(state["generator"])
         if self.prioritised:
             sampler = self._sampler.state_dict()
             indices = torch.arange(len(self))

@@ -14,13 +14,13 @@ from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
-from safetensors.torch import load_file
 from torch import Tensor
 
 from nerf_rl.errors import UserError
 from nerf_rl.rl.replay import Replay
-from nerf_rl.tensor_files import write_tensors
+from nerf_rl.tensor_files import read_tensors, write_tensors
 
+_REMEDY = "train again with --overwrite true"
 _NAME = re.compile(r"rows-(\d+)-(\d+)\.safetensors")
 
 
@@ -54,18 +54,22 @@ def load_rows(folder: Path, oldest: int, stored: int) -> Float[Tensor, "N W"]:
     """Return the rows of a checkpoint from ``oldest`` to before ``stored``, in that order.
 
     Raises:
-        UserError: some are not there.
+        UserError: some are not there, or a file is damaged.
     """
     parts, begun = [], oldest
     for chunk in _chunks(folder):
         if chunk.first <= begun < chunk.end:
-            rows = load_file(chunk.path)["rows"]
+            rows = read_tensors(chunk.path).get("rows", torch.empty(0))
+            if (
+                rows.dim() != 2
+                or len(rows) != chunk.end - chunk.first
+                or (parts and rows[0].shape != parts[0][0].shape)
+            ):
+                raise UserError(f"{chunk.path} does not hold the rows that it is named after; {_REMEDY}")
             parts.append(rows[begun - chunk.first : stored - chunk.first])
             begun = min(chunk.end, stored)
     if begun < stored:
-        raise UserError(
-            f"{folder} lacks rows {begun} to {stored - 1} of replay memory; train again with --overwrite true"
-        )
+        raise UserError(f"{folder} lacks rows {begun} to {stored - 1} of replay memory; {_REMEDY}")
     return torch.cat(parts)
 
 

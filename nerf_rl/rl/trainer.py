@@ -144,13 +144,17 @@ class Trainer:
 
     def _load(self, checkpoint: Path) -> None:
         tensors, facts = load_checkpoint(checkpoint)
-        load_agent_tensors(self.agent, below(tensors, "agent"))
+        if len(facts["episode_index"]) != self._envs.num_envs:
+            raise UserError(f"{checkpoint} is of a run with {len(facts['episode_index'])} --envs")
+        load_agent_tensors(self.agent, below(tensors, "agent"), checkpoint)
         replay = below(tensors, "replay")
-        if "stored" not in replay:
-            raise UserError(f"{checkpoint} is of another version of nerf-rl; train again with --overwrite true")
+        if "stored" not in replay or replay["stored"].numel() != 1 or int(replay["stored"]) < 1:
+            raise UserError(
+                f"{checkpoint} is damaged, or of another version of nerf-rl; train again with --overwrite true"
+            )
         stored = int(replay["stored"])
         oldest = max(0, stored - self._config.replay.capacity)
-        self.replay.load_state(replay | {"rows": load_rows(checkpoint, oldest, stored)})
+        self.replay.load_state(replay | {"rows": load_rows(checkpoint, oldest, stored)}, checkpoint)
         self.env_steps, self.agent.updates, self.episodes = facts["env_steps"], facts["updates"], facts["episodes"]
         self._credit, self._episode_index = facts["credit"], facts["episode_index"]
         self._seconds_before, self.evaluations = facts["seconds"], facts["evaluations"]

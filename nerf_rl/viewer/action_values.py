@@ -12,6 +12,7 @@ from nerf_rl.rl.config import NetworkConfig
 from nerf_rl.rl.networks import Critic
 from nerf_rl.rl.normalisation import RunningNorm
 from nerf_rl.rl.policy import Policy
+from nerf_rl.tensor_files import filled
 
 
 class ActionValues:
@@ -38,14 +39,14 @@ class ActionValues:
         folder, network = last_checkpoint(run), policy.network
         if folder is None or not isinstance(network, NetworkConfig):
             return None
-        tensors = below(load_checkpoint(folder)[0], "agent")
+        checkpoint, _ = load_checkpoint(folder)
+        tensors = below(checkpoint, "agent")
         weights = below(tensors, "critic")
         if not weights:
             return None
-        critic = Critic(policy.observation_size, policy.action_size, network)
-        critic.load_state_dict(weights)
+        sizes = (policy.observation_size, policy.action_size)
+        critic = filled(lambda: Critic(*sizes, network), weights, folder)
         norm: nn.Module = nn.Identity()
         if network.standardise:
-            norm = RunningNorm(policy.observation_size)
-            norm.load_state_dict(below(tensors, "norm"))
+            norm = filled(lambda: RunningNorm(policy.observation_size), below(tensors, "norm"), folder)
         return ActionValues(norm, critic)
