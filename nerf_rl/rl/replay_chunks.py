@@ -56,15 +56,13 @@ def load_rows(folder: Path, oldest: int, stored: int) -> Float[Tensor, "N W"]:
     Raises:
         UserError: some are not there, or a file is damaged.
     """
-    parts, begun = [], oldest
+    parts: list[Tensor] = []
+    begun = oldest
     for chunk in _chunks(folder):
         if chunk.first <= begun < chunk.end:
             rows = read_tensors(chunk.path).get("rows", torch.empty(0))
-            if (
-                rows.dim() != 2
-                or len(rows) != chunk.end - chunk.first
-                or (parts and rows[0].shape != parts[0][0].shape)
-            ):
+            like = parts[0].shape[1:] if parts else rows.shape[1:]
+            if rows.dim() != 2 or len(rows) != chunk.end - chunk.first or rows.shape[1:] != like:
                 raise UserError(f"{chunk.path} does not hold the rows that it is named after; {_REMEDY}")
             parts.append(rows[begun - chunk.first : stored - chunk.first])
             begun = min(chunk.end, stored)
