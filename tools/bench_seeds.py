@@ -60,7 +60,7 @@ def main() -> None:
         write_json(
             Path("datasets/results/seeds.json"),
             {
-                "command": "tools/bench_seeds.py",
+                "command": " ".join(["tools/bench_seeds.py", *sys.argv[1:]]),
                 "git_revision": revision,
                 "packages": package_versions(),
                 "sizes": SIZES,
