@@ -2,12 +2,14 @@
 
 import json
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 from nerf_rl import cli
-from nerf_rl.tools import doctor, doctor_probes
+from nerf_rl.tools import doctor, doctor_extras, doctor_probes
 
 
 def test_a_machine_that_passes_the_tests_is_well(
@@ -87,3 +89,52 @@ def test_a_probe_of_rendering_fails_on_a_wrong_picture(monkeypatch: pytest.Monke
     monkeypatch.setattr(doctor_probes, "_SCENE", doctor_probes._SCENE.replace("0.9 0.1 0.1", "0.1 0.9 0.1"))
     with pytest.raises(RuntimeError, match="a red ball has the colour"):
         doctor_probes.rendering()
+
+
+@pytest.mark.parametrize(
+    "python, machine, told",
+    [
+        ((3, 11), "x86_64", None),
+        ((3, 12), "x86_64", "no wheels from Python 3.12 on, and this is 3.12"),
+        ((3, 13), "aarch64", "this is 3.13"),
+        ((3, 11), "aarch64", "wheels for x86_64 only, and this is aarch64"),
+    ],
+)
+def test_the_doctor_says_why_panda_cannot_be_had(python: tuple[int, int], machine: str, told: str | None) -> None:
+    lack = doctor_extras.no_panda(python, machine)
+    assert (lack is None) == (told is None)
+    if lack is not None and told is not None:
+        assert told in lack[0] and lack[1]
+    with open("pyproject.toml", "rb") as file:
+        demand = next(iter(tomllib.load(file)["project"]["optional-dependencies"]["panda"]))
+    marker = Requirement(demand).marker
+    assert marker is not None
+    environment = {"python_version": ".".join(map(str, python)), "platform_machine": machine}
+    assert marker.evaluate(environment) == (told is None)
+
+
+@pytest.mark.parametrize(
+    "python, library, told",
+    [
+        ((3, 12), (2, 31), None),
+        ((3, 13), (2, 35), None),
+        ((3, 13), (2, 31), "need glibc 2.35, and this is 2.31"),
+        ((3, 13), None, "another C library"),
+    ],
+)
+def test_the_doctor_says_why_open3d_cannot_be_had(
+    python: tuple[int, int], library: tuple[int, int] | None, told: str | None
+) -> None:
+    lack = doctor_extras.no_open3d(python, library)
+    assert (lack is None) == (told is None)
+    for installed in (True, False):
+        finding = doctor_extras.open3d({"ok": False, "error": "ImportError: no"}, installed, lack)
+        assert finding.status == "note" and (told or "") in finding.detail
+        assert ("Python 3.11 or 3.12" in finding.fix) == (told is not None)
+
+
+def test_an_extra_that_is_missing_here_is_told_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor_extras, "EXTRAS", {"panda": ("no_such_module", "panda-gym")})
+    monkeypatch.setattr(doctor_extras.platform, "machine", lambda: "aarch64")
+    finding = next(iter(doctor_extras.extras({"ok": True, "version": "1"})))
+    assert finding.status == "note" and "PyBullet" in finding.detail and finding.fix

@@ -1,7 +1,5 @@
 """``nerf-rl doctor``: find out whether this machine has what nerf-rl needs, and say how to mend what is missing."""
 
-import importlib.metadata
-import importlib.util
 import json
 import os
 import shutil
@@ -9,41 +7,24 @@ import subprocess
 import sys
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 
 from nerf_rl import __version__
 from nerf_rl.errors import FailureError
 from nerf_rl.runs import package_versions, plain, write_json
 from nerf_rl.tools.config import DoctorConfig
+from nerf_rl.tools.doctor_extras import extras
+from nerf_rl.tools.finding import Finding, shortened
 
 BACKENDS = {
     "egl": "apt install libegl1 libopengl0 libgl1-mesa-dri",
     "osmesa": "apt install libosmesa6",
     "glfw": "it needs a display; without one, use egl or osmesa",
 }
-EXTRAS = {
-    "panda": ("panda_gym", "panda-gym"),
-    "sb3": ("stable_baselines3", "stable-baselines3"),
-    "ray": ("ray", "ray"),
-    "browser": ("playwright", "playwright"),
-}
 _SOFTWARE = ("llvmpipe", "softpipe", "swrast")
 _GIGABYTE = 1e9
 _LEAST_SHARED, _ENOUGH_SHARED = 0.06, 0.5  # [GB]; containers start with 0.064
 _LEAST_DISK, _ENOUGH_DISK = 1.0, 10.0  # [GB]
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing that was looked at."""
-
-    name: str
-    status: str
-    """``ok``, ``note`` (worth knowing, not needed for most work) or ``broken`` (needed)"""
-    detail: str
-    fix: str = ""
-    """what to do, in a line; empty if all is well"""
 
 
 def doctor(config: DoctorConfig) -> None:
@@ -119,7 +100,7 @@ def rendering(probes: dict[str, dict], chosen: str | None) -> Iterable[Finding]:
         needed = name == chosen or (chosen not in probes and not working and name == "egl")
         fix = f"export MUJOCO_GL={working[0]}" if needed and working else BACKENDS[name]
         status = "broken" if needed else "note"
-        yield Finding(f"rendering with {name}", status, f"{_shortened(probe['error'])}{used}", fix)
+        yield Finding(f"rendering with {name}", status, f"{shortened(probe['error'])}{used}", fix)
 
 
 def torch_pair(probe: dict) -> Finding:
@@ -127,26 +108,7 @@ def torch_pair(probe: dict) -> Finding:
     if probe["ok"]:
         return Finding("torch", "ok", f"torch {probe['torch']} with torchrl {probe['torchrl']}; {probe['device']}")
     fix = "install a pair that fits: pip install 'torch>=2.14.1,<2.16' 'torchrl>=0.14.1,<0.15'"
-    return Finding("torch", "broken", _shortened(probe["error"]), fix)
-
-
-def extras(export: dict) -> Iterable[Finding]:
-    """Judge the optional packages.
-
-    Args:
-        export: what the probe of Open3D found.
-    """
-    for extra, (module, package) in EXTRAS.items():
-        if importlib.util.find_spec(module) is None:
-            yield Finding(f"extra {extra}", "note", f"{package} is not installed", f"pip install '.[{extra}]'")
-        else:
-            yield Finding(f"extra {extra}", "ok", f"{package} {importlib.metadata.version(package)}")
-    if export["ok"]:
-        yield Finding("extra export", "ok", f"open3d {export['version']}")
-    elif importlib.util.find_spec("open3d") is None:
-        yield Finding("extra export", "note", "open3d is not installed", "pip install '.[export]'")
-    else:
-        yield Finding("extra export", "note", _shortened(export["error"]), "apt install libusb-1.0-0 libgl1 libgomp1")
+    return Finding("torch", "broken", shortened(probe["error"]), fix)
 
 
 def machine() -> Finding:
@@ -177,7 +139,3 @@ def disk(folder: Path) -> Finding:
         return Finding("disk", "ok", f"{free:.0f} GB free in {there}")
     status = "note" if free >= _LEAST_DISK else "broken"
     return Finding("disk", status, f"{free:.1f} GB free in {there}", "free some space, or choose another --out")
-
-
-def _shortened(text: str, most: int = 160) -> str:
-    return text if len(text) <= most else f"{text[: most - 1]}…"
