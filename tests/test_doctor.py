@@ -2,6 +2,7 @@
 
 import json
 import sys
+import tempfile
 import tomllib
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pytest
 from packaging.requirements import Requirement
 
 from nerf_rl import cli
-from nerf_rl.tools import doctor, doctor_extras, doctor_probes
+from nerf_rl.tools import doctor, doctor_extras, doctor_probes, doctor_trial
 
 
 def test_a_machine_that_passes_the_tests_is_well(
@@ -89,6 +90,46 @@ def test_a_probe_of_rendering_fails_on_a_wrong_picture(monkeypatch: pytest.Monke
     monkeypatch.setattr(doctor_probes, "_SCENE", doctor_probes._SCENE.replace("0.9 0.1 0.1", "0.1 0.9 0.1"))
     with pytest.raises(RuntimeError, match="a red ball has the colour"):
         doctor_probes.rendering()
+
+
+def test_a_trial_runs_steps_of_the_real_commands_and_leaves_nothing(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(doctor_trial, "_PRETRAINING", doctor_trial._PRETRAINING + " --precision 32")
+    findings = {finding.name: finding for finding in doctor_trial.trial(120.0)}
+    assert [(name, finding.status) for name, finding in findings.items()] == [
+        ("trial of pretrain", "ok"),
+        ("trial of train-rl", "ok"),
+    ]
+    assert findings["trial of pretrain"].detail.startswith("2 steps")
+    assert "60 environment steps, 15 updates" in findings["trial of train-rl"].detail
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_trial_tells_which_command_failed_and_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor_trial, "_PRETRAINING", "--steps 0")
+    (finding,) = doctor_trial.trial(120.0)
+    assert (finding.name, finding.status) == ("trial of pretrain", "broken")
+    assert "--steps must be at least 1, got 0" in finding.detail and "nerf-rl pretrain" in finding.fix
+    monkeypatch.setattr(doctor_trial, "_DATASET", "--size -1")
+    (finding,) = doctor_trial.trial(120.0)
+    assert (finding.name, finding.status) == ("trial of gen-dataset", "broken") and "--size" in finding.detail
+    (finding,) = doctor_trial.trial(0.05)
+    assert "hung for 0 s" in finding.detail
+
+
+def test_a_precision_that_fails_where_32_works_is_told_with_its_fix(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = doctor_trial._run
+
+    def fails_unless_32(arguments: list[str], timeout: float) -> object:
+        works = arguments[0] != "pretrain" or "32" in arguments
+        return run(arguments if works else [*arguments, "--scenes_per_step", "0"], timeout)
+
+    monkeypatch.setattr(doctor_trial, "_run", fails_unless_32)
+    (finding,) = doctor_trial.trial(120.0)
+    assert finding.status == "broken" and finding.fix == "pretrain with --precision 32"
+    assert "auto takes here" in finding.detail
 
 
 @pytest.mark.parametrize(

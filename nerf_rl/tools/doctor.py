@@ -14,6 +14,7 @@ from nerf_rl.errors import FailureError
 from nerf_rl.runs import package_versions, plain, write_json
 from nerf_rl.tools.config import DoctorConfig
 from nerf_rl.tools.doctor_extras import extras
+from nerf_rl.tools.doctor_trial import trial
 from nerf_rl.tools.finding import Finding, shortened
 
 BACKENDS = {
@@ -50,7 +51,7 @@ def doctor(config: DoctorConfig) -> None:
 
 
 def probed(timeout: float) -> Iterable[Finding]:
-    """Try out rendering, torch and the extras, each in a process of its own."""
+    """Try out rendering, torch and the extras, each in a process of its own, and then the commands themselves."""
     usable = len(os.sched_getaffinity(0))
     with ThreadPoolExecutor(max(2, usable)) as pool:
         torch = pool.submit(run_probe, "torch", timeout)
@@ -59,6 +60,7 @@ def probed(timeout: float) -> Iterable[Finding]:
         yield from rendering({name: probe.result() for name, probe in backends.items()}, os.environ.get("MUJOCO_GL"))
         yield torch_pair(torch.result())
         yield from extras(export.result())
+    yield from trial(timeout)
 
 
 def run_probe(name: str, timeout: float, backend: str = "") -> dict:
