@@ -22,6 +22,14 @@ from nerf_rl.rl.replay_chunks import load_rows, most_rows, save_rows
 from nerf_rl.rl.trainer import Trainer
 
 CAPACITY = 10
+FACTS = {  # of a checkpoint that has nothing but memory
+    **dict.fromkeys(("env_steps", "updates", "episodes"), 0),
+    "credit": 0.0,
+    "episode_index": [0],
+    "seconds": 0.0,
+    "rng": np.random.default_rng(0).bit_generator.state,
+    "evaluations": [],
+}
 
 
 class Memory:
@@ -39,7 +47,7 @@ class Memory:
     def save(self) -> Path:
         before, state = self.before, self.replay.bookkeeping()
         self.before = save_checkpoint(
-            self.run, self.replay.stored, state, {}, lambda folder: save_rows(self.replay, folder, before)
+            self.run, self.replay.stored, state, FACTS, lambda folder: save_rows(self.replay, folder, before)
         )
         return self.before
 
