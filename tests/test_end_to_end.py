@@ -8,12 +8,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from tiny_recipes import TINY_TRAINING
 
 from nerf_rl import cli
-
-TINY_TRAINING = ["--env-steps", "80", "--warmup-steps", "40", "--episode-steps", "20", "--learner.batch-size", "8"]
-TINY_TRAINING += ["--evaluation-every", "40", "--evaluation-episodes", "2", "--final-evaluation-episodes", "2"]
-TINY_TRAINING += ["--replay.capacity", "200", "--network.hidden", "[16, 16]"]
 
 
 @pytest.fixture(scope="module")

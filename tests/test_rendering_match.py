@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import TINY_TRAINING
+from tiny_recipes import TINY_TRAINING
 
 from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.rl.rendering_match import rendering_differences

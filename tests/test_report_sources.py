@@ -8,7 +8,7 @@ from pathlib import Path
 
 import cv2
 import pytest
-from conftest import TINY_TRAINING
+from tiny_recipes import TINY_TRAINING
 
 from nerf_rl import cli
 from nerf_rl.datasets.sealed_json import write_sealed

@@ -86,7 +86,7 @@ def test_auto_is_a_gpu_only_where_there_is_one() -> None:
 
 @pytest.mark.skipif(not GPU, reason="needs a GPU")
 def test_commands_run_on_a_gpu(tiny_dataset: Path, tiny_encoder: Path, tiny_agent: Path, tmp_path: Path) -> None:
-    from conftest import TINY_TRAINING
+    from tiny_recipes import TINY_TRAINING
 
     device, run = ["--device", "cuda"], tmp_path / "run"
     assert cli.main(["train-rl", "--encoder", str(tiny_encoder), "--out", str(run), *TINY_TRAINING, *device]) == 0

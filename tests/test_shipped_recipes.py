@@ -42,12 +42,21 @@ def test_a_dataset_recipe_generates(recipe: str, tmp_path: Path, monkeypatch: py
 STEPS_OF_RECIPE = {  # enough for an update with the recipe's batch
     "demo": ["--env_steps", "700", "--warmup_steps", "560"],
     "drawer-open": ["--env_steps", "700", "--warmup_steps", "560"],
-    "drawer-open-ppo": ["--env_steps", "240", "--ppo.n_steps", "50", "--ppo.batch_size", "50"],
-    "panda-reach-ppo": ["--env_steps", "240", "--ppo.n_steps", "100", "--ppo.batch_size", "50"],
+    "drawer-open-ppo": ["--env_steps", "240", "--warmup_steps", "100", "--ppo.n_steps", "50", "--ppo.batch_size", "50"],
+    "panda-reach-ppo": [
+        "--env_steps",
+        "240",
+        "--warmup_steps",
+        "100",
+        "--ppo.n_steps",
+        "100",
+        "--ppo.batch_size",
+        "50",
+    ],
     "panda-reach-sb3-ddpg": ["--env_steps", "400"],
-    "panda-reach": ["--env_steps", "240", "--warmup_steps", "140"],
-    "panda-reach-ee": ["--env_steps", "240", "--warmup_steps", "140", "--learning_starts", "140"],
-    "panda-reach-sparse": ["--env_steps", "240", "--warmup_steps", "140"],
+    "panda-reach": ["--env_steps", "200", "--warmup_steps", "150"],
+    "panda-reach-ee": ["--env_steps", "200", "--warmup_steps", "150", "--learning_starts", "150"],
+    "panda-reach-sparse": ["--env_steps", "200", "--warmup_steps", "150"],
 }
 
 

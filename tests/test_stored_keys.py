@@ -11,7 +11,7 @@ import h5py
 import optuna
 import pytest
 import yaml
-from conftest import TINY_TRAINING
+from tiny_recipes import TINY_TRAINING
 
 from nerf_rl import cli
 from nerf_rl.datasets.config import GenDatasetConfig

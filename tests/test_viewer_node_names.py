@@ -16,7 +16,7 @@ from nerf_rl.viewer.node_names import node_name
 from nerf_rl.viewer.scene_panel import ScenePanel
 from nerf_rl.viewer.server import serve
 
-NASTY = ["a", "a/b", "a%2Fb", "/", "%", "", "..", "world", "cloud", "$\\frac{$", "Käse 奶酪\n"]
+NASTY = ["a", "a/b", "a%2Fb", "/", "%", "", "..", "world", "cloud", "$\\frac{$", "Käse 奶酪"]
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,41 @@
+"""Recipes of a tiny dataset and a tiny encoder, and keys of a tiny agent, which several test files share."""
+
+TINY_DATASET = """
+scene: metaworld/drawer-open-v3
+episodes: 4
+frames_per_episode: 3
+episode_steps: 12
+size: 24
+rig:
+  cameras:
+    - {name: top, azimuth: 90, elevation: -70}
+    - {name: left, azimuth: 20, elevation: -30}
+    - {name: right, azimuth: 160, elevation: -30}
+  encoder: [left, right]
+  test: [top]
+  random: {count: 1}
+validation_fraction: 0.25
+episodes_per_shard: 2
+workers: 1
+seed: 3
+"""
+
+TINY_PRETRAINING = """
+encoder: {latent: 8, patch: 4, channels: [8, 16], hidden: 16}
+radiance_field: {width: 16, layers: 2, frequencies: 4, plane_size: 8, plane_features: 2}
+sampling: {rendering_stratified: 6, rendering_importance: 4}
+scenes_per_step: 2
+rays_per_scene: 8
+steps: 6
+steps_per_epoch: 2
+epochs_per_validation: 2
+validation_frames: 2
+probe_frames: 9
+precision: "32"
+threads: 1
+seed: 5
+"""
+
+TINY_TRAINING = ["--env_steps", "80", "--warmup_steps", "40", "--episode_steps", "20", "--learner.batch_size", "8"]
+TINY_TRAINING += ["--evaluation_every", "40", "--evaluation_episodes", "2", "--final_evaluation_episodes", "2"]
+TINY_TRAINING += ["--replay.capacity", "200", "--network.hidden", "[16, 16]"]
