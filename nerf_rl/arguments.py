@@ -2,14 +2,18 @@
 
 import copy
 import dataclasses
+import itertools
 import re
 import typing
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from jsonargparse import ActionConfigFile, ArgumentError, ArgumentParser, set_parsing_settings
 
 from nerf_rl.errors import UnknownNameError, UserError
+from nerf_rl.limits import require_finite
+from nerf_rl.recipes import check_recipe
 
 _ALONE = ("-h", "--help", "--print_config")  # keys without a value
 
@@ -35,12 +39,16 @@ def parse_config(config: type, program: str, description: str, arguments: Sequen
     parser.add_class_arguments(config)
     arguments = [re.sub(r"^--[^=]+", lambda key: "--" + key[0][2:].replace("-", "_"), word) for word in arguments]
     arguments = list(_name_positional(arguments, positional)) if positional else arguments
+    for recipe in _recipes(arguments):
+        check_recipe(Path(recipe))
     try:
         namespace = parser.instantiate(parser.parse_args(arguments))
         values = {field.name: namespace[field.name] for field in dataclasses.fields(config)}
-        return config(**values)
-    except (ArgumentError, ValueError) as error:
+        made = config(**values)
+    except (ArgumentError, ValueError, TypeError, RecursionError, OverflowError) as error:
         raise _explain(str(error), config) from error
+    require_finite(made)
+    return made
 
 
 def config_of(config: type, content: Mapping[str, Any]) -> Any:
@@ -53,9 +61,20 @@ def config_of(config: type, content: Mapping[str, Any]) -> Any:
     parser.add_class_arguments(config)
     try:
         namespace = parser.instantiate(parser.parse_object(copy.deepcopy(dict(content))))
-        return config(**{field.name: namespace[field.name] for field in dataclasses.fields(config)})
-    except (ArgumentError, ValueError, TypeError) as error:
+        made = config(**{field.name: namespace[field.name] for field in dataclasses.fields(config)})
+    except (ArgumentError, ValueError, TypeError, RecursionError, OverflowError) as error:
         raise _explain(str(error), config) from error
+    require_finite(made)
+    return made
+
+
+def _recipes(arguments: Sequence[str]) -> Iterator[str]:
+    """Yield the recipe files that arguments name."""
+    for word, following in itertools.zip_longest(arguments, arguments[1:], fillvalue=""):
+        if word == "--config":
+            yield following
+        elif word.startswith("--config="):
+            yield word.partition("=")[2]
 
 
 def _name_positional(arguments: Sequence[str], key: str) -> Iterator[str]:

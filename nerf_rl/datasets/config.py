@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 
 from nerf_rl.datasets.rig_config import RigConfig
 from nerf_rl.errors import UnknownNameError, UserError
+from nerf_rl.limits import require_most, require_seed
 
+MOST_PIXELS, MOST_SHARDS = 4096, 10**6
 BACKENDS = ("loky", "ray")
 _HOW_NOT_WHAT = ("out", "workers", "backend", "worker_timeout", "shard", "estimate", "resume", "overwrite")
 
@@ -32,6 +34,9 @@ class BehaviourConfig:
         weights = self.weights(scripted=True)
         if min(weights) < 0 or sum(weights) <= 0:
             raise UserError("behaviour weights must not be negative and must not all be zero")
+        require_most(self, "behaviour.", **dict.fromkeys(("random", "scripted", "noisy", "replay", "noise"), 10**6))
+        if self.noise < 0:
+            raise UserError(f"--behaviour.noise must not be negative, got {self.noise}")
         if (self.replay > 0) != bool(self.states):
             raise UserError("behaviour.replay is the weight and behaviour.states the source of a replay: give both")
 
@@ -106,6 +111,10 @@ class GenDatasetConfig:
         for name in ("episodes", "frames_per_episode", "episode_steps", "episodes_per_shard", "workers"):
             if getattr(self, name) < 1:
                 raise UserError(f"--{name} must be at least 1, got {getattr(self, name)}")
+        require_seed(self.seed)
+        require_most(self, size=MOST_PIXELS, workers=1024, episode_steps=10**6, worker_timeout=10**7)
+        if -(-self.episodes // self.episodes_per_shard) > MOST_SHARDS:
+            raise UserError(f"a dataset has at most {MOST_SHARDS} shards; use a larger --episodes_per_shard")
         if self.backend not in BACKENDS:
             raise UnknownNameError("backend", self.backend, BACKENDS)
         if self.backend == "ray" and self.workers < 2:

@@ -10,6 +10,9 @@ from typing import Any
 
 from nerf_rl.errors import UserError
 
+MOST_CAMERAS = 256
+_LARGEST = 1e6
+
 
 @dataclass
 class CameraConfig:
@@ -41,6 +44,7 @@ class CameraConfig:
         _check_point(label, "lookat", self.lookat)
         _check_point(label, "position", self.position)
         _check_view(label, self.distance, self.fovy, self.elevation)
+        _check_sizes(label, self.azimuth)
         if sum(bool(kind) for kind in (self.camera, self.body, self.follow)) > 1:
             raise UserError(f"{label} can have one of camera, body and follow")
         if self.body and not self.position and self.distance == 0:
@@ -74,6 +78,8 @@ class RingConfig:
         label = f"ring '{self.name}'"
         _check_point(label, "lookat", self.lookat)
         _check_view(label, self.distance, self.fovy, self.elevation)
+        _check_sizes(label, self.azimuth)
+        _check_count(label, self.count)
         if self.count < 1 or not 0 < self.span <= 360:
             raise UserError(f"{label} needs a count of 1 or more and a span in (0, 360]")
 
@@ -112,6 +118,7 @@ class DomeConfig:
         _check_range(label, "elevation", self.elevation)
         for elevation in self.elevation:
             _check_view(label, self.distance, self.fovy, elevation)
+        _check_count(label, self.count)
         if self.count < 1:
             raise UserError(f"{label} needs a count of 1 or more")
 
@@ -159,6 +166,8 @@ class RandomCameraConfig:
         label = "random cameras"
         if self.count < 0:
             raise UserError(f"{label} need a count of 0 or more, got {self.count}")
+        _check_count(label, self.count)
+        _check_sizes(label, self.lookat_spread)
         _check_point(label, "lookat", self.lookat)
         for name in ("azimuth", "elevation", *(["distance"] if self.distance else [])):
             _check_range(label, name, getattr(self, name))
@@ -187,15 +196,30 @@ class RigConfig:
 
 
 def _check_point(label: str, name: str, point: list[float]) -> None:
+    _check_sizes(label, *point)
     if point and len(point) != 3:
         raise UserError(f"{label}: {name} needs 3 numbers, got {len(point)}")
 
 
+def _check_count(label: str, count: int) -> None:
+    if count > MOST_CAMERAS:
+        raise UserError(f"{label}: a dataset has at most {MOST_CAMERAS} cameras, got a count of {count}")
+
+
+def _check_sizes(label: str, *numbers: float | None) -> None:
+    """Raise UserError if a number [m] or [degrees] is not finite, or larger than any that has a meaning."""
+    for number in numbers:
+        if number is not None and not abs(number) <= _LARGEST:
+            raise UserError(f"{label}: numbers must be from {-_LARGEST} to {_LARGEST}, got {number}")
+
+
 def _check_range(label: str, name: str, limits: list[Any]) -> None:
+    _check_sizes(label, *limits)
     if len(limits) != 2 or limits[0] > limits[1]:
         raise UserError(f"{label}: {name} needs [low, high], got {limits}")
 
 
 def _check_view(label: str, distance: float, fovy: float, elevation: float) -> None:
+    _check_sizes(label, distance)
     if distance < 0 or not -90 < elevation < 90 or not 0 < fovy < 180:
         raise UserError(f"{label}: distance must not be negative, elevation in (-90, 90) and fovy in (0, 180)")

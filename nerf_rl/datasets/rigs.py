@@ -9,7 +9,14 @@ from numpy import ndarray
 
 from nerf_rl.cameras import camera_position, intrinsics_from_fovy, look_at
 from nerf_rl.datasets.camera_mounts import Pose, body_id, mount
-from nerf_rl.datasets.rig_config import CameraConfig, DomeConfig, RandomCameraConfig, RigConfig, RingConfig
+from nerf_rl.datasets.rig_config import (
+    MOST_CAMERAS,
+    CameraConfig,
+    DomeConfig,
+    RandomCameraConfig,
+    RigConfig,
+    RingConfig,
+)
 from nerf_rl.datasets.scenes import Scene
 from nerf_rl.datasets.workspace import Workspace
 from nerf_rl.errors import UnknownNameError, UserError
@@ -80,6 +87,8 @@ def make_rig(config: RigConfig, size: int, scene: Scene) -> Rig:
     cameras = [camera for group in groups.values() for camera in group]
     names = [camera.name for camera in cameras]
     names += [f"random_{i}" for i in range(config.random.count)]
+    if len(names) > MOST_CAMERAS:
+        raise UserError(f"a dataset has at most {MOST_CAMERAS} cameras, these are {len(names)}")
     if len(set(names)) < len(names):
         raise UserError(f"camera names must differ: {', '.join(names)}")
 

@@ -7,6 +7,7 @@ of that name may be a link: where the bytes of a dataset lie is for the owner of
 from pathlib import Path
 from typing import Any
 
+from nerf_rl.datasets.rig_config import MOST_CAMERAS
 from nerf_rl.errors import MissingFileError
 from nerf_rl.structure import array, listing, mapping, number, one_of, optional, table, text, whole
 
@@ -28,7 +29,7 @@ MANIFEST_STRUCTURE = mapping(
     {"schema_version": whole()},
     {
         "shards": listing(_SHARD),
-        "cameras": listing(mapping({"name": _NAME, "role": one_of(*ROLES)}, others=True), 1),
+        "cameras": listing(mapping({"name": _NAME, "role": one_of(*ROLES)}, others=True), 1, MOST_CAMERAS),
         "classes": listing(mapping({"name": _NAME, "colour": array(3, of=whole(0, 255))}), 1, _MOST_CLASSES),
         "columns": mapping({kind: listing(_NAME) for kind in ("proprio", "privileged", "action")}, others=True),
         "config": mapping({**COUNTS, "quality": one_of("fast", "full")}, others=True),

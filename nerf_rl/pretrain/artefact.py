@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from nerf_rl.datasets.rig_config import MOST_CAMERAS
 from nerf_rl.datasets.stored_manifest import LARGEST_IMAGE
 from nerf_rl.errors import MissingFileError
 from nerf_rl.runs import read_json
@@ -14,7 +15,7 @@ FORMAT = 1
 SIMULATORS = ("mujoco", "metaworld")
 """packages that decide what a rendered picture shows"""
 
-_MOST_VIEWS, _MOST_LAYERS = 256, 16
+_MOST_LAYERS = 16
 _REMEDY = "make one with: nerf-rl pretrain --config pretrain/snerl.yaml --data DATASET --out FOLDER"
 _SIZE = whole(1, 2**20)
 
@@ -26,7 +27,7 @@ _STRUCTURE = mapping(
         ),
         "rig": mapping(
             {
-                "names": listing(text(), 1, _MOST_VIEWS),
+                "names": listing(text(), 1, MOST_CAMERAS),
                 "intrinsics": array(-1, 3, 3),
                 "camera_from_world": array(-1, 4, 4),
                 "height": whole(1, LARGEST_IMAGE),

@@ -6,8 +6,10 @@ from typing import Any
 
 from nerf_rl.devices import check_device_name
 from nerf_rl.errors import UnknownNameError, UserError
+from nerf_rl.limits import require_most, require_seed
 
 TEACHERS = ("depth", "normals")
+_MOST_IN_A_PLANE = 2**27
 PRECISIONS = ("auto", "32", "bf16")
 ACCELERATORS = ("auto", "cpu", "gpu")
 STRATEGIES = ("auto", "ddp")
@@ -29,6 +31,7 @@ class EncoderConfig:
     """width of g and h"""
 
     def __post_init__(self) -> None:
+        require_most(self, "encoder.", latent=2**14, hidden=2**14, patch=2**12, channels=2**12)
         if not self.channels or min(self.latent, self.hidden, self.patch, *self.channels) < 1:
             raise UserError("encoder.latent, hidden, patch and channels must be positive")
 
@@ -51,6 +54,10 @@ class FieldConfig:
     """features in a cell"""
 
     def __post_init__(self) -> None:
+        require_most(self, "radiance_field.", width=2**13, layers=64, frequencies=64, plane_size=2**12)
+        require_most(self, "radiance_field.", plane_features=2**10, moving_frames=2**10)
+        if self.plane_size**2 * self.plane_features > _MOST_IN_A_PLANE or self.moving_frames < 0:
+            raise UserError("radiance_field: planes have at most 2^27 values each, and moving_frames is 0 or more")
         if min(self.width, self.layers, self.plane_size, self.plane_features) < 1 or self.frequencies < 0:
             raise UserError(
                 "radiance_field.width, layers, plane_size and plane_features must be positive, frequencies 0 or more"
@@ -187,6 +194,10 @@ class PretrainConfig:
                 f"--scenes_per_step {self.scenes_per_step} cannot be shared evenly by {self.processes} processes "
                 "(--devices times --nodes)"
             )
+        require_most(self, scenes_per_step=2**16, rays_per_scene=2**16, loader_workers=1024, threads=1024, devices=1024)
+        if self.scenes_per_step * self.rays_per_scene > 2**22:
+            raise UserError("scenes_per_step x rays_per_scene is at most 2^22")
+        require_seed(self.seed)
         if self.learning_rate <= 0:
             raise UserError(f"--learning_rate must be positive, got {self.learning_rate}")
         if not 0 < self.sharp_at <= 1:
@@ -224,6 +235,7 @@ class ProbeConfig:
     """replace an existing output folder"""
 
     def __post_init__(self) -> None:
+        require_seed(self.seed)
         if self.frames < 2:
             raise UserError(f"--frames must be at least 2, got {self.frames}")
         check_device_name(self.device)

@@ -6,6 +6,7 @@ from typing import Any
 
 from nerf_rl.devices import check_device_name
 from nerf_rl.errors import UnknownNameError, UserError
+from nerf_rl.limits import require_most, require_seed
 from nerf_rl.rl.baselines.config import PPOConfig
 
 NO_ENCODER = "none"
@@ -26,6 +27,7 @@ class NetworkConfig:
     """standardise observations by the running mean and deviation of those seen in training"""
 
     def __post_init__(self) -> None:
+        require_most(self, "network.", hidden=2**14)
         if len(self.hidden) != 2 or min(self.hidden) < 1:
             raise UserError(f"--network.hidden needs two positive widths, got {self.hidden}")
         _one_of("normalisation", self.normalisation, ("layer", "batch", "none"))
@@ -55,6 +57,7 @@ class NoiseConfig:
     """what is repeated: corner (of the action box, which moves furthest) or anywhere (in it, and every third a rest)"""
 
     def __post_init__(self) -> None:
+        require_most(self, "noise.", start=10**6, end=10**6, hold_steps=10**9)
         _one_of("noise kind", self.kind, ("gaussian", "ou", "pink"))
         _one_of("hold kind", self.hold_kind, HOLD_KINDS)
         if self.start < 0 or self.end < 0:
@@ -87,6 +90,7 @@ class ReplayConfig:
     """share of these goals that were reached at any time in training; the others were, later in the same episode"""
 
     def __post_init__(self) -> None:
+        require_most(self, "replay.", capacity=10**10, alpha=100, epsilon=10**6, hindsight=1000)
         if self.capacity < 1:
             raise UserError(f"--replay.capacity must be at least 1, got {self.capacity}")
         if not 0 <= self.hindsight_random <= 1:
@@ -127,6 +131,7 @@ class LearnerConfig:
     """gradient updates per agent step"""
 
     def __post_init__(self) -> None:
+        require_most(self, "learner.", batch_size=2**20, n_step=10**6, updates_per_step=1000, actor_every=10**9)
         _one_of("actor batch", self.actor_batch, ("uniform", "prioritised"))
         if not 0 <= self.gamma <= 1:
             raise UserError(f"--learner.gamma must be in [0, 1], got {self.gamma}")
@@ -229,10 +234,12 @@ class TrainRLConfig:
         for name in f"{counts} final_evaluation_episodes checkpoint_every log_every threads".split():
             if getattr(self, name) < 1:
                 raise UserError(f"--{name} must be at least 1, got {getattr(self, name)}")
-        for name in ("episodes", "warmup_steps", "learning_starts", "seed"):
+        for name in ("episodes", "warmup_steps", "learning_starts"):
             if (getattr(self, name) or 0) < 0:
                 raise UserError(f"--{name} must not be negative, got {getattr(self, name)}")
         check_device_name(self.device)
+        require_most(self, envs=1024, threads=1024, env_steps=10**12, episode_steps=10**9)
+        require_seed(self.seed)
         if self.warmup_steps >= self.env_steps:
             raise UserError(
                 f"--warmup_steps {self.warmup_steps} leaves nothing of --env_steps {self.env_steps} to learn in"
@@ -282,9 +289,9 @@ class EvaluateConfig:
         for name in ("episodes", "envs", "video_episodes"):
             if getattr(self, name) < 1:
                 raise UserError(f"--{name} must be at least 1, got {getattr(self, name)}")
-        if self.seed < 0:
-            raise UserError(f"--seed must not be negative, got {self.seed}")
         check_device_name(self.device)
+        require_seed(self.seed)
+        require_most(self, episodes=10**6, envs=1024, video_size=4096)
         if self.video_size < 32 or self.video_size % 16:
             raise UserError(f"--video_size must be a multiple of 16 and at least 32, got {self.video_size}")
 
