@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from nerf_rl import cli
-from nerf_rl.pretrain import precision
 from nerf_rl.pretrain.encoder import Encoder
 from nerf_rl.pretrain.precision import resolve_precision
 
@@ -32,25 +31,13 @@ def test_a_shipped_recipe_trains_to_its_end_in_either_precision(
     assert all(bool(torch.isfinite(p).all()) for p in Encoder.load(out).parameters())
 
 
-@pytest.mark.parametrize("native", [False, True])
-def test_auto_is_bfloat16_on_processors_that_compute_in_it_alone(native: bool, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(precision, "computes_bfloat16", lambda device: native)
-    assert resolve_precision("auto", CPU) == ("bf16" if native else "32")
+@pytest.mark.parametrize("tiles", [False, True])
+def test_auto_is_bfloat16_where_it_was_measured_to_train_better(tiles: bool, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda: tiles)
+    monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda *_, **__: True)  # it says so of GPUs that emulate it
+    assert resolve_precision("auto", CPU) == ("bf16" if tiles else "32")
     assert resolve_precision("auto", CUDA) == "32"
     assert [resolve_precision(name, CPU) for name in ("32", "bf16")] == ["32", "bf16"]
-
-
-@pytest.mark.parametrize("amx", [False, True])
-@pytest.mark.parametrize("avx512", [False, True])
-def test_a_processor_is_asked_for_its_instructions(avx512: bool, amx: bool, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda: avx512)
-    monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda: amx)
-    assert precision.computes_bfloat16(CPU) == (avx512 or amx)
-
-
-def test_a_gpu_that_only_emulates_bfloat16_does_not_compute_in_it(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda including_emulation=True: including_emulation)
-    assert not precision.computes_bfloat16(CUDA)
 
 
 def test_latents_that_hardly_differ_are_told_apart_in_bfloat16(tiny_encoder: Path):

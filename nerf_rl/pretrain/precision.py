@@ -10,12 +10,13 @@ _LIGHTNING = {"32": "32-true", "bf16": "bf16-mixed"}
 def resolve_precision(name: str, device: torch.device) -> str:
     """Return ``32`` or ``bf16``; ``auto`` takes what was measured to train better on such a device.
 
-    A processor that multiplies bfloat16 in hardware does a quarter more steps in it in the same time, and they end
-    with a better encoder (pretrain/README.md). On GPUs nobody has measured it yet, so there it is 32.
+    Processors that multiply matrices of bfloat16 in tiles (Intel's AMX) do a quarter more steps in it in the same time,
+    and end with a better encoder (pretrain/README.md). Nobody has compared the two on others, nor on GPUs, so there it
+    is 32.
     """
     if name != "auto":
         return name
-    return "bf16" if device.type == "cpu" and computes_bfloat16(device) else "32"
+    return "bf16" if device.type == "cpu" and has_bfloat16_tiles() else "32"
 
 
 def lightning_precision(name: str) -> Any:
@@ -23,11 +24,9 @@ def lightning_precision(name: str) -> Any:
     return _LIGHTNING[name]
 
 
-def computes_bfloat16(device: torch.device) -> bool:
-    """Tell whether a device multiplies matrices in bfloat16 itself; before Ampere, CUDA only emulates it."""
-    if device.type == "cuda":
-        return torch.cuda.is_bf16_supported(including_emulation=False)
-    return torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported()
+def has_bfloat16_tiles() -> bool:
+    """Tell whether the processor multiplies matrices of bfloat16 in tiles."""
+    return torch.cpu._is_amx_tile_supported()
 
 
 def in_full_precision(device: torch.device) -> torch.autocast:
