@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 
 from nerf_rl import cli
+from nerf_rl.datasets.frames import read_frame
 from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.datasets.sealed_json import sealed
 from nerf_rl.datasets.shards import MANIFEST, SHARDS
 from nerf_rl.errors import UserError
+from nerf_rl.pretrain.encoder_rig import EncoderRig
 from nerf_rl.runs import json_text
 
 SECOND = f"{SHARDS}/000001.h5"
@@ -159,3 +161,28 @@ def test_a_shard_may_lie_elsewhere_if_the_owner_of_the_folder_links_it(folder: P
     (folder / SECOND).rename(tmp_path / "blob")
     (folder / SECOND).symlink_to(tmp_path / "blob")
     np.testing.assert_array_equal(MultiViewDataset(folder).read("rgb"), expected)
+
+
+@pytest.mark.parametrize(
+    "name, value, read, fault",
+    [
+        (
+            "semantic",
+            200,
+            lambda dataset: dataset.read_labels(),
+            "a picture shows the class 200, but its manifest names",
+        ),
+        ("semantic", 200, lambda dataset: read_frame(dataset, 7), "a picture shows the class 200"),
+        ("split", 9, lambda dataset: dataset.split("train"), "a frame's split is 9"),
+        ("split", 9, lambda dataset: read_frame(dataset, 7), "a frame's split is 9"),
+        ("cameras/intrinsics", np.nan, EncoderRig.of_dataset, "a camera's matrices are not finite"),
+        ("cameras/camera_from_world", np.inf, EncoderRig.of_dataset, "a camera's matrices are not finite"),
+    ],
+)
+def test_values_that_mean_nothing_are_told(folder: Path, name: str, value: float, read: Callable, fault: str):
+    for shard in (folder / SHARDS).iterdir():
+        with h5py.File(shard, "r+") as file:
+            file[name][...] = value
+    with pytest.raises(UserError, match="data is damaged: ") as refusal:
+        read(MultiViewDataset(folder))
+    assert fault in str(refusal.value)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from nerf_rl.cameras import projection_matrix
@@ -102,7 +102,18 @@ class MultiViewDataset:
         """Return the frame indices of ``train`` or ``validation``."""
         if name not in SPLIT_NAMES:
             raise UnknownNameError("split", name, SPLIT_NAMES)
-        return np.flatnonzero(self.read("split") == SPLIT_NAMES.index(name))
+        return np.flatnonzero(self.read_splits() == SPLIT_NAMES.index(name))
+
+    def read_splits(self, frames: Sequence[int] | ndarray | None = None) -> UInt8[ndarray, "N"]:
+        """Return the split of some frames, as an index of its name.
+
+        Raises:
+            UserError: there are others.
+        """
+        splits = self.read("split", frames)
+        if splits.max(initial=0) >= len(SPLIT_NAMES):
+            raise UserError(f"{self.folder} is damaged: a frame's split is {splits.max()}; make the dataset again")
+        return splits
 
     def read(self, name: str, frames: Sequence[int] | ndarray | None = None) -> ndarray:
         """Return an array's rows for some frames (all if None), in the order asked for.
@@ -141,9 +152,28 @@ class MultiViewDataset:
                 rows[first : first + count] = _read_rows(file, location.offset + row * size, location, count)
         return rows
 
+    def read_labels(self, frames: Sequence[int] | ndarray | None = None) -> UInt8[ndarray, "N V H W"]:
+        """Return the class ids of some frames, as :meth:`read` does.
+
+        Raises:
+            UserError: there are ids beyond the classes that the manifest names.
+        """
+        labels = self.read("semantic", frames)
+        if labels.max(initial=0) >= len(self.class_names):
+            most = f"{labels.max()}, but its manifest names {len(self.class_names)} classes"
+            raise UserError(f"{self.folder} is damaged: a picture shows the class {most}; make the dataset again")
+        return labels
+
     def cameras(self, frames: Sequence[int] | ndarray) -> tuple[Float[ndarray, "V 3 3"], Float[ndarray, "N V 4 4"]]:
-        """Return intrinsics [pixels] and the ``camera_from_world`` of each frame and camera."""
-        return self.read("cameras/intrinsics", [0])[0], self.read("cameras/camera_from_world", frames)
+        """Return intrinsics [pixels] and the ``camera_from_world`` of each frame and camera.
+
+        Raises:
+            UserError: they hold values that are not finite.
+        """
+        intrinsics, poses = self.read("cameras/intrinsics", [0])[0], self.read("cameras/camera_from_world", frames)
+        if not (np.isfinite(intrinsics).all() and np.isfinite(poses).all()):
+            raise UserError(f"{self.folder} is damaged: a camera's matrices are not finite; make the dataset again")
+        return intrinsics, poses
 
     def projections(self, frames: Sequence[int] | ndarray) -> Float[ndarray, "N V 3 4"]:
         """Return P = K [R | t] of each frame and camera."""

@@ -60,7 +60,8 @@ class RayBatches(Dataset):
         config, far = self._config, self._statistics.bounds.far
         rng = np.random.default_rng([config.seed, step])
         frames = rng.choice(self._frames, config.scenes_per_step)[self._share]
-        rgb, semantic, depth = (self._dataset.read(name, frames) for name in ("rgb", "semantic", "depth"))
+        rgb, depth = (self._dataset.read(name, frames) for name in ("rgb", "depth"))
+        semantic = self._dataset.read_labels(frames)
         intrinsics, poses = self._dataset.cameras(frames)
         images = rgb[:, self._encoder_views]
         projections = intrinsics[self._encoder_views] @ poses[:, self._encoder_views, :3]

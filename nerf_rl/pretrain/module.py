@@ -209,8 +209,9 @@ class SnerlModule(lightning.LightningModule):
     def truth(self, frame: int) -> dict[str, np.ndarray]:
         """Return colours in [0, 1], labels and depth of a frame from the encoder's cameras."""
         views = self._dataset.views("encoder")
-        rows = {name: self._dataset.read(name, [frame])[0, views] for name in ("rgb", "semantic", "depth")}
-        return {**rows, "rgb": rows["rgb"].astype(np.float32) / 255.0, "semantic": rows["semantic"].astype(np.int64)}
+        rgb, depth = (self._dataset.read(name, [frame])[0, views] for name in ("rgb", "depth"))
+        semantic = self._dataset.read_labels([frame])[0, views].astype(np.int64)
+        return {"rgb": rgb.astype(np.float32) / 255.0, "semantic": semantic, "depth": depth}
 
     @torch.no_grad()
     def render_frame(self, frame: int) -> RenderedImages:

@@ -88,7 +88,7 @@ def _look(dataset: MultiViewDataset, frames: ndarray, views: list[int]) -> tuple
     rng, parts = np.random.default_rng(0), []
     for first in range(0, len(frames), _FRAMES_AT_ONCE):
         chunk = frames[first : first + _FRAMES_AT_ONCE]
-        depth, semantic = (dataset.read(name, chunk)[:, views] for name in ("depth", "semantic"))
+        depth, semantic = dataset.read("depth", chunk)[:, views], dataset.read_labels(chunk)[:, views]
         for label in range(len(shown)):
             shown[label] += (semantic == label).sum(0)
         kept = min(depth.size, _MOST_PIXELS * len(chunk) // len(frames))

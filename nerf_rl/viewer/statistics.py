@@ -36,7 +36,7 @@ def sample_statistics(dataset: MultiViewDataset, episodes: int = 200) -> Statist
         values = dataset.read("state/privileged", [frame])[0]
         for name, (x, y, _) in named_points(dataset.columns("privileged"), values).items():
             resets.setdefault(name, []).append((x, y))
-        pixels += np.bincount(dataset.read("semantic", [frame]).ravel(), minlength=len(pixels))[: len(pixels)]
+        pixels += np.bincount(dataset.read_labels([frame]).ravel(), minlength=len(pixels))[: len(pixels)]
     shares = (pixels / max(1, pixels.sum())).tolist()
     return Statistics(
         {name: np.array(places) for name, places in resets.items()},
