@@ -78,9 +78,9 @@ check: $(READY)
 	$(BIN)/mypy
 	$(BIN)/python tools/import_all_modules.py
 
-# TESTS narrows the run: make test TESTS="tests/test_cameras.py -x"
+# TESTS narrows the run: make test TESTS="tests/test_cameras.py -x". Each core takes test files one after another.
 test: $(READY)
-	$(BIN)/python -m pytest $(TESTS)
+	$(BIN)/python -m pytest -n auto --dist loadfile $(TESTS)
 
 # Screenshots are kept in .browser-tests/.
 test-browser: $(READY)

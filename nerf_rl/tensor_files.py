@@ -9,7 +9,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
-from nerf_rl.errors import MissingFileError
+from nerf_rl.errors import MissingFileError, UserError
 from nerf_rl.runs import written_whole
 
 _REMEDY = "take the file from where it was made, or make it again"
@@ -53,7 +53,7 @@ def filled(make: Callable[[], M], tensors: Mapping[str, Tensor], path: Path) -> 
     try:
         with torch.device("meta"):
             expected = make().state_dict()
-    except (RuntimeError, ValueError, TypeError, OverflowError, ArithmeticError) as error:
+    except (UserError, RuntimeError, ValueError, TypeError, OverflowError, ArithmeticError) as error:
         reason = f"its description makes no network ({error})"
         raise MissingFileError("a file of weights", path, reason, _REMEDY) from error
     require_tensors(tensors, expected, path)

@@ -130,7 +130,8 @@ def test_a_field_of_old_without_a_format_is_read(run: Path):
     "keys, value, fault",
     [
         (("architecture", "hidden"), 10**9, "architecture.hidden is 1000000000 instead of a whole number"),
-        (("architecture", "hidden"), 10**6, "per_view.0.weight has the shape"),
+        (("architecture", "hidden"), 10**6, "its description makes no network (--encoder.hidden must be at most"),
+        (("architecture", "hidden"), 10**4, "per_view.0.weight has the shape"),
         (("architecture", "wings"), 2, "architecture.wings is 2 instead of nothing: known are latent"),
         (("architecture", "patch"), 100, "its description makes no network"),
         (("rig", "height"), "24", "rig.height is '24' instead of a whole number"),
