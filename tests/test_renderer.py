@@ -2,19 +2,15 @@
 
 import itertools
 from collections.abc import Iterator
-from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
-from nerf_rl import cameras, cli
-from nerf_rl.datasets import offscreen_target
+from nerf_rl import cameras
 from nerf_rl.datasets.renderer import MultiViewRenderer
 from nerf_rl.datasets.scenes import Scene
 from nerf_rl.datasets.semantics import semantic_classes
-from nerf_rl.errors import UserError
-from nerf_rl.gl import largest_image
 from nerf_rl.metrics import confusion_matrix, intersection_over_union, psnr_db
 
 DRAWN_GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)
@@ -321,64 +317,6 @@ def test_more_cameras_than_the_renderer_was_made_for_are_refused(boxes):
         renderer.render(data, intrinsics, poses)
     with pytest.raises(ValueError, match="made for 4 views, got 5"):
         renderer.render_rgb(data, intrinsics, poses)
-
-
-@pytest.mark.parametrize("quality", ["fast", "full"])
-def test_cameras_that_opengl_has_no_room_for_at_once_take_turns(quality: str, monkeypatch: pytest.MonkeyPatch):
-    model, data = loaded()
-    intrinsics, poses = random_cameras(np.random.default_rng(13), 7, 48, (0.0, 0.0, 0.1))
-    at_once = MultiViewRenderer(model, 48, 48, 7, quality)
-    expected = at_once.render(data, intrinsics, poses)
-    at_once.close()
-    monkeypatch.setattr(offscreen_target, "largest_image", lambda: (3 * 48 + 47, 48))
-    in_turns = MultiViewRenderer(model, 48, 48, 7, quality)
-    for count in (7, 6, 2):
-        views = in_turns.render(data, intrinsics[:count], poses[:count])
-        np.testing.assert_array_equal(views.rgb, expected.rgb[:count])
-        np.testing.assert_array_equal(views.geom, expected.geom[:count])
-        np.testing.assert_allclose(views.depth, expected.depth[:count], rtol=1e-5)
-        np.testing.assert_array_equal(in_turns.render_rgb(data, intrinsics[:count], poses[:count]), views.rgb)
-    in_turns.close()
-
-
-def test_any_number_of_cameras_is_drawn_whatever_opengls_limit_is(boxes):
-    model, data, renderer = boxes
-    renderer.gl_renderer  # noqa: B018  makes its context the current one, which the limit is that of
-    rows, _ = largest_image()
-    size, kinds = 24, 5
-    count = 2 * (rows // size) + 1
-    intrinsics, poses = random_cameras(np.random.default_rng(14), kinds, size, (0.0, 0.0, 0.1))
-    kind = np.arange(count) % kinds
-    many, few = MultiViewRenderer(model, size, size, count), MultiViewRenderer(model, size, size, kinds)
-    expected = few.render_rgb(data, intrinsics, poses)
-    seen = many.render_rgb(data, intrinsics[kind], poses[kind])
-    assert seen.shape == (count, size, size, 3)
-    differing = (seen != expected[kind]).any(-1).mean(axis=(1, 2))
-    assert differing.max() < 0.05 and differing.mean() < 0.005  # rounding grows along OpenGL's image
-    many.close()
-    few.close()
-
-
-def test_a_view_larger_than_opengl_draws_is_answered_with_the_limit(boxes):
-    model, _, renderer = boxes
-    renderer.gl_renderer  # noqa: B018
-    rows, columns = largest_image()
-    words = f"a view of 8 x {rows + 1} pixels is larger than what OpenGL draws here; .* is {columns} x {rows} pixels"
-    with pytest.raises(UserError, match=words):
-        MultiViewRenderer(model, rows + 1, 8, 1)
-    with pytest.raises(UserError, match=f"a view of {columns + 1} x 8 pixels is larger"):
-        MultiViewRenderer(model, 8, columns + 1, 1)
-
-
-def test_a_dataset_of_views_larger_than_anything_is_refused_in_a_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    out = tmp_path / "data"
-    arguments = ["--scene", "datasets/scenes/blocks.xml", "--episodes", "1", "--size", "100000"]
-    assert cli.main(["gen-dataset", "--out", str(out), *arguments]) == 2
-    shown = capsys.readouterr().err
-    assert "--size must be at most 4096, got 100000" in shown
-    assert shown.count("\n") == 1 and not out.exists()
 
 
 def test_a_closed_renderer_says_so():
