@@ -10,14 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file
 
 from nerf_rl import cli
 from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.errors import MissingFileError
-from nerf_rl.pretrain.artefact import DESCRIPTION, read_description
+from nerf_rl.pretrain.artefact import DESCRIPTION, WEIGHTS, read_description
 from nerf_rl.pretrain.encoder import Encoder
 from nerf_rl.pretrain.field import RadianceField
 from nerf_rl.pretrain.module import SnerlModule
+from nerf_rl.tensor_files import write_tensors
 
 LAST = Path("checkpoints") / "last.ckpt"
 
@@ -149,3 +151,11 @@ def test_a_description_that_does_not_fit_is_told_before_anything_is_allocated(
     with pytest.raises(MissingFileError) as refusal:
         Encoder.load(run)
     assert fault in str(refusal.value)
+
+
+def test_statistics_that_nothing_can_be_divided_by_are_told(run: Path):
+    tensors = load_file(run / WEIGHTS)
+    tensors["latent_std"][3] = 0.0
+    write_tensors(run / WEIGHTS, tensors)
+    with pytest.raises(MissingFileError, match="a deviation of its latents is not positive; train it again"):
+        Encoder.load(run)

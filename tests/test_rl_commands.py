@@ -14,7 +14,7 @@ from metaworld.env_dict import ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE
 
 from nerf_rl import cli
 from nerf_rl.datasets.scenes import make_scene
-from nerf_rl.errors import UserError
+from nerf_rl.errors import FailureError, UserError
 from nerf_rl.pretrain.encoder import Encoder
 from nerf_rl.rl.envs import EnvSpec, make_env
 from nerf_rl.rl.observation import LatentObservation
@@ -180,3 +180,12 @@ def test_a_stock_environment_keeps_its_own_observation_space_inside(tiny_encoder
     assert isinstance(env.env.observation_space, gymnasium.spaces.Box)
     assert env.observation_space.shape == (12,)
     env.close()
+
+
+def test_a_policy_whose_actions_are_no_numbers_says_so(run: Path, tmp_path: Path) -> None:
+    policy = Policy.load(run)
+    with torch.no_grad():
+        policy.actor[0].squares.fill_(-1.0)
+        policy.actor[0].mean.fill_(1e300)
+    with pytest.raises(FailureError, match="the policy gives actions that are not numbers; train it, or its encoder,"):
+        policy.act(np.zeros((1, policy.observation_size), np.float32))

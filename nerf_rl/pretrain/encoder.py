@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
+from nerf_rl.errors import MissingFileError
 from nerf_rl.pretrain.artefact import (
     DESCRIPTION,
     FORMAT,
@@ -131,6 +132,8 @@ class Encoder(nn.Module):
         file = Path(path) if is_checkpoint(path) else folder / WEIGHTS
         weights = encoder_weights(file) if is_checkpoint(path) else read_tensors(file)
         encoder = filled(lambda: cls.described(description), weights, file)
+        if not bool((encoder.latent_std > 0).all()):
+            raise MissingFileError("an encoder", file, "a deviation of its latents is not positive", "train it again")
         return encoder.eval().requires_grad_(False)
 
 

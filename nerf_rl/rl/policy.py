@@ -4,11 +4,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from numpy import ndarray
 from torch import nn
 
+from nerf_rl.errors import FailureError
 from nerf_rl.rl.artefact import POLICY_DESCRIPTION, POLICY_VERSION, POLICY_WEIGHTS, check_policy
 from nerf_rl.rl.config import NetworkConfig
 from nerf_rl.rl.envs import EnvSpec, spec_from_json
@@ -36,9 +38,16 @@ class Policy:
 
     @torch.no_grad()
     def act(self, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E A"]:
-        """Return actions in [-1, 1]."""
+        """Return actions in [-1, 1].
+
+        Raises:
+            FailureError: they are not numbers, for the weights or the observation are out of all proportion.
+        """
         device = next(self.actor.parameters()).device
-        return self.actor(torch.from_numpy(observation).to(device)).cpu().numpy()
+        actions = self.actor(torch.from_numpy(observation).to(device)).cpu().numpy()
+        if np.isnan(actions).any():
+            raise FailureError("the policy gives actions that are not numbers; train it, or its encoder, again")
+        return actions
 
     def save(self, folder: Path) -> None:
         """Write both files, each whole or not at all."""
