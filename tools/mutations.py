@@ -37,6 +37,7 @@ class Payload:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return os.system, (f"touch {self._marker}",)
+_DEEPEST = 100  # place in a tree
 
 
 def mutated_bytes(content: bytes, rng: random.Random, others: list[bytes]) -> bytes:
@@ -67,7 +68,9 @@ def mutated_bytes(content: bytes, rng: random.Random, others: list[bytes]) -> by
 
 
 def paths_of(tree: Any, path: tuple = ()) -> list[tuple]:
-    """Return the places in a tree of mappings and lists."""
+    """Return the places in a tree of mappings and lists, but for those that an earlier mutation has put very deep."""
+    if len(path) > _DEEPEST:
+        return [path]
     items = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
     return [path, *(place for key, value in items for place in paths_of(value, (*path, key)))]
 
