@@ -37,6 +37,8 @@ class Payload:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return os.system, (f"touch {self._marker}",)
+
+
 _DEEPEST = 100  # place in a tree
 
 
