@@ -90,6 +90,7 @@ def test_a_gpu_has_processes_that_prepare_its_batches(
 ):
     loader: Any = MultiViewDataModule(dataset, config(loader_workers=asked), on_gpu=on_gpu).train_dataloader()
     assert getattr(loader, "num_workers", 0) == workers
+    assert getattr(loader, "pin_memory", on_gpu) == on_gpu
 
 
 @pytest.mark.parametrize("ranks", [2, 4])

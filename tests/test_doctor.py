@@ -96,7 +96,6 @@ def test_a_trial_runs_steps_of_the_real_commands_and_leaves_nothing(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr(doctor_trial, "_PRETRAINING", doctor_trial._PRETRAINING + " --precision 32")
     findings = {finding.name: finding for finding in doctor_trial.trial(120.0)}
     assert [(name, finding.status) for name, finding in findings.items()] == [
         ("trial of pretrain", "ok"),

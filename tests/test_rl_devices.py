@@ -74,8 +74,11 @@ def test_an_absent_device_is_told_with_what_there_is_before_anything_is_written(
     assert message.count("\n") == 1 and not list(tmp_path.iterdir())
 
 
-def test_auto_is_a_gpu_only_where_there_is_one() -> None:
-    assert resolve_device("auto").type == ("cuda" if GPU else "cpu")
+@pytest.mark.parametrize("there", [False, True])
+def test_auto_is_a_gpu_only_where_there_is_one(there: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: there)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: int(there))
+    assert resolve_device("auto").type == ("cuda" if there else "cpu")
     assert resolve_device("cpu") == torch.device("cpu")
     for name in ("auto", "cpu"):
         check_device(name)

@@ -7,7 +7,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import lightning
 import numpy as np
-import torch
 from torch.utils.data import DataLoader, Dataset
 
 from nerf_rl.datasets.reader import MultiViewDataset
@@ -86,6 +85,7 @@ class MultiViewDataModule(lightning.LightningDataModule):
     ):
         super().__init__()
         self._dataset, self._config, self._rank, self._ranks = dataset, config, rank, ranks
+        self._on_gpu = on_gpu
         usual = _WORKERS_OF_A_GPU if on_gpu else 0
         self._workers = usual if config.loader_workers is None else config.loader_workers
         self.statistics = measure(dataset, config)
@@ -103,7 +103,9 @@ class MultiViewDataModule(lightning.LightningDataModule):
             batches = RayBatches(self._dataset, self._config, self.statistics, share)
             steps = EpochSteps(self._config.steps, self._config.steps_per_epoch, self._steps_done)
             self._train = (
-                _in_processes(batches, steps, self._workers) if self._workers else BatchesAhead(batches, steps)
+                _in_processes(batches, steps, self._workers, self._on_gpu)
+                if self._workers
+                else BatchesAhead(batches, steps)
             )
         return self._train
 
@@ -123,7 +125,7 @@ class MultiViewDataModule(lightning.LightningDataModule):
         return self.trainer.global_step if self.trainer is not None else 0
 
 
-def _in_processes(batches: RayBatches, steps: EpochSteps, workers: int) -> DataLoader:
+def _in_processes(batches: RayBatches, steps: EpochSteps, workers: int, on_gpu: bool) -> DataLoader:
     return DataLoader(
         batches,
         batch_size=None,
@@ -132,7 +134,7 @@ def _in_processes(batches: RayBatches, steps: EpochSteps, workers: int) -> DataL
         multiprocessing_context="spawn",
         persistent_workers=True,
         prefetch_factor=_AHEAD,
-        pin_memory=torch.cuda.is_available(),
+        pin_memory=on_gpu,
         worker_init_fn=_leave_interrupts_to_parent,
     )
 
