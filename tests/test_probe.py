@@ -23,6 +23,19 @@ def test_the_command_prints_a_table_and_writes_a_summary(
         assert f"{figures['rmse_mm']:.1f}" in row and f"{summary['probe_random_encoder'][name]['rmse_mm']:.1f}" in row
 
 
+def test_a_supervised_encoder_stands_beside_as_the_ceiling(
+    tiny_dataset: Path, tiny_encoder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    words = ["--encoder", str(tiny_encoder), "--data", str(tiny_dataset), "--out", str(tmp_path / "probe")]
+    assert cli.main(["probe", *words, "--ceiling_steps", "3"]) == 0
+    summary = json.loads((tmp_path / "probe" / "summary.json").read_text())
+    ceiling = summary["probe_supervised_encoder"]
+    assert set(ceiling) == set(summary["probe"])
+    shown = capsys.readouterr().out
+    row = next(line for line in shown.splitlines() if line.startswith("hand_x"))
+    assert row.split()[-1] == f"{ceiling['hand_x']['rmse_mm']:.1f}" and "supervised encoder [mm]" in shown
+
+
 def test_a_dataset_of_another_rig_is_refused_and_nothing_is_written(
     tiny_dataset: Path, tiny_encoder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

@@ -227,8 +227,10 @@ class ProbeConfig:
     """output folder for summary.json; only printed if null"""
     frames: int = 4000
     """training frames that the probes are fitted on"""
+    ceiling_steps: int = 0
+    """steps of a third encoder, of the same size, that learns the true state itself: 1000 show what is possible"""
     seed: int = 0
-    """seed of the random encoder that stands beside"""
+    """seed of the encoders that stand beside"""
     device: str = "auto"
     """where to encode: cpu, cuda, cuda:1 or auto (a GPU if there is one)"""
     overwrite: bool = False
@@ -238,4 +240,6 @@ class ProbeConfig:
         require_seed(self.seed)
         if self.frames < 2:
             raise UserError(f"--frames must be at least 2, got {self.frames}")
+        if self.ceiling_steps < 0:
+            raise UserError(f"--ceiling_steps must not be negative, got {self.ceiling_steps}")
         check_device_name(self.device)

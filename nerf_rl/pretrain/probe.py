@@ -28,8 +28,7 @@ def probe(config: ProbeConfig) -> None:
     from nerf_rl.pretrain.linear_probe import probe_encoder
 
     encoder = Encoder.load(config.encoder).to(resolve_device(config.device))
-    result = probe_encoder(encoder, dataset, config.frames, config.seed)
+    result = probe_encoder(encoder, dataset, config.frames, config.seed, config.ceiling_steps)
     print(result.table())
     if config.out is not None:
-        summary = {"probe": result.encoder, "probe_random_encoder": result.random_encoder}
-        write_json(Path(config.out) / SUMMARY, summary)
+        write_json(Path(config.out) / SUMMARY, result.summary())
