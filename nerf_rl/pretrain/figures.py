@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 
 UNKNOWN = "unknown"
+_LEAST_SHARE = 0.002  # of the pixels, below which a class is too small to be judged by its IoU
+_LEAST_IOU = 0.3
 
 
 def describe_validation(figures: Mapping[str, float | None]) -> str:
@@ -17,3 +19,18 @@ def describe_validation(figures: Mapping[str, float | None]) -> str:
 def describe_iou(value: float | None) -> str:
     """Return the IoU of a class in words; that of a class which no held-out frame shows is unknown."""
     return UNKNOWN if value is None else f"{value:.2f}"
+
+
+def hardly_shown(class_iou: Mapping[str, float | None], class_share: Mapping[str, float]) -> list[str]:
+    """Return the classes that held-out frames show and the field hardly does, so that z may not carry them."""
+    return [
+        name
+        for name, iou in class_iou.items()
+        if iou is not None and iou < _LEAST_IOU and class_share[name] >= _LEAST_SHARE
+    ]
+
+
+def describe_hardly_shown(names: list[str], class_iou: Mapping[str, float | None]) -> str:
+    """Return what that means, as a sentence."""
+    each = ", ".join(f"{name} (IoU {describe_iou(class_iou[name])})" for name in names)
+    return f"the field hardly shows {each}: look at the probe before you trust the latent with it"

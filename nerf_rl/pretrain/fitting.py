@@ -48,6 +48,8 @@ class FitResult:
     precision: str
     validation: dict[str, float | None]
     class_iou: dict[str, float | None]
+    class_share: dict[str, float]
+    """of the pixels of held-out frames"""
     probe: ProbeResult
 
 
@@ -117,11 +119,13 @@ def fit(config: PretrainConfig, dataset: MultiViewDataset, folder: Path, checkpo
         return None
     device = describe_device(trainer.strategy.root_device)
     probe = _export(module, dataset, config, folder)
-    return FitResult(trainer.global_step, module.seconds, device, precision, module.validation, module.class_iou, probe)
+    found = module.validation, module.class_iou, module.class_share, probe
+    return FitResult(trainer.global_step, module.seconds, device, precision, *found)
 
 
 def _export(module: SnerlModule, dataset: MultiViewDataset, config: PretrainConfig, folder: Path) -> ProbeResult:
     """Probe the encoder, set its latents' statistics, and write encoder and field."""
+    print("probing the encoder, and an untrained one beside it", flush=True)
     encoder = module.encoder.cpu().eval().requires_grad_(False)
     probe = probe_encoder(encoder, dataset, config.probe_frames, config.seed)
     mean, deviation = measure_latents(encoder, dataset)
@@ -151,6 +155,14 @@ class _ProgressLines(Callback):
     def on_train_batch_end(self, trainer: lightning.Trainer, module: lightning.LightningModule, *_: Any) -> None:
         if trainer.is_global_zero and isinstance(module, SnerlModule):
             self._progress.advance(note=module.describe_step)
+
+    def on_validation_start(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
+        frames = len(trainer.val_dataloaders) if trainer.val_dataloaders is not None else 0
+        self._validation = Progress(frames, "held-out frames")
+
+    def on_validation_batch_end(self, trainer: lightning.Trainer, module: lightning.LightningModule, *_: Any) -> None:
+        if trainer.is_global_zero and not trainer.sanity_checking:
+            self._validation.advance()
 
     def on_validation_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         if trainer.is_global_zero and not trainer.sanity_checking and isinstance(module, SnerlModule):

@@ -60,8 +60,9 @@ class SnerlModule(lightning.LightningModule):
         )
         self.validation: dict[str, float | None] = {}
         self.class_iou: dict[str, float | None] = {}
+        self.class_share: dict[str, float] = {}
         self.validated_step = -1
-        """the step that ``validation`` and ``class_iou`` are of"""
+        """the step that ``validation``, ``class_iou`` and ``class_share`` (of the pixels) are of"""
         self.seconds = 0.0
         """spent training, over all resumptions [s]"""
         self.ray_error: Tensor | None = None
@@ -193,6 +194,8 @@ class SnerlModule(lightning.LightningModule):
             name: None if math.isnan(value) else float(value)
             for name, value in zip(self._dataset.class_names, iou.tolist(), strict=True)
         }
+        shares = confusion.sum(1) / confusion.sum()
+        self.class_share = dict(zip(self._dataset.class_names, shares.tolist(), strict=True))
         known = {f"validation/{name}": value for name, value in self.validation.items() if value is not None}
         self.log_dict(known, rank_zero_only=True)
 

@@ -1,5 +1,6 @@
 """``nerf-rl pretrain``: check the input, train, measure, export."""
 
+import sys
 import time
 from pathlib import Path
 
@@ -8,7 +9,7 @@ from nerf_rl.datasets.shards import SPLIT_NAMES
 from nerf_rl.errors import UserError
 from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.encoder_rig import EncoderRig
-from nerf_rl.pretrain.figures import describe_validation
+from nerf_rl.pretrain.figures import describe_hardly_shown, describe_validation, hardly_shown
 from nerf_rl.pretrain.launch import rank_from_outside, run_on_each_device
 from nerf_rl.runs import SUMMARY, peak_rss_mb, prepare_output, write_json, write_provenance
 from nerf_rl.stored_keys import require_same_keys
@@ -63,6 +64,7 @@ def train(config: PretrainConfig, checkpoint: Path | None) -> None:
     result = fit(config, MultiViewDataset(config.data), folder, checkpoint)
     if result is None:
         return
+    missing = hardly_shown(result.class_iou, result.class_share)
     summary = {
         "steps": result.steps,
         "seconds": round(time.monotonic() - started, 1),
@@ -73,9 +75,12 @@ def train(config: PretrainConfig, checkpoint: Path | None) -> None:
         "precision": result.precision,
         "validation": result.validation,
         "class_iou": result.class_iou,
-        "probe": result.probe.encoder,
-        "probe_random_encoder": result.probe.random_encoder,
+        "class_share": {name: round(share, 5) for name, share in result.class_share.items()},
+        "hardly_shown": missing,
+        **result.probe.summary(),
     }
     write_json(folder / SUMMARY, summary)
     print(f"{folder}: {result.steps} steps, {describe_validation(result.validation)}")
     print(result.probe.table())
+    if missing:
+        print(f"warning: {describe_hardly_shown(missing, result.class_iou)}", file=sys.stderr)
