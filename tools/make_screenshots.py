@@ -58,7 +58,7 @@ def shoot(page: Page, path: Path, episode: int, tab: str) -> None:
     if episode:
         below = "xpath=//label[normalize-space(text())='Episode']/following::input[@type!='hidden'][1]"
         box = page.locator(below).first
-        box.fill(str(episode % 900))
+        box.fill(str(episode))
         box.press("Enter")
     page.get_by_text(tab, exact=True).first.click()
     page.wait_for_timeout(SETTLING)
