@@ -135,7 +135,7 @@ def test_half_an_artefact_is_no_encoder(tmp_path: Path, missing: str):
         Encoder.load(tmp_path)
 
 
-@pytest.mark.parametrize("content", ["{", "[]", '{"rig": {}}'])
+@pytest.mark.parametrize("content", ["{", "[]", '{"format": 2, "rig": {}}'])
 def test_a_damaged_description_is_told_as_such(tmp_path: Path, content: str):
     make_encoder().save(tmp_path, {})
     (tmp_path / DESCRIPTION).write_text(content)
