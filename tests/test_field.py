@@ -16,7 +16,7 @@ BOUNDS = FieldBounds(0.4, 2.0, (0.1, 0.6, 0.2), 0.5)
 def field() -> RadianceField:
     torch.manual_seed(0)
     config = FieldConfig(width=12, layers=3, frequencies=3, plane_size=6, plane_features=2)
-    return RadianceField(config, BOUNDS, latent=5, classes=4, teacher_features=3)
+    return RadianceField(config, BOUNDS, latent=5, classes=4, teacher_features=3, anchors=2)
 
 
 def points_and_latents(scenes: int = 2, points: int = 7) -> tuple[torch.Tensor, torch.Tensor]:
@@ -42,6 +42,42 @@ def test_contraction_keeps_directions_and_order_and_is_continuous_at_the_cube():
     )
     assert (contracted.norm(dim=-1).diff() > 0).all()
     torch.testing.assert_close(contract(1.000001 * direction), contract(0.999999 * direction), atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0])
+def test_frames_are_folded_into_what_encoding_a_point_in_each_of_them_gives(field: RadianceField, share: float):
+    """The law by its definition: the first layer reads x and x - o of every frame, in sines and cosines of octaves."""
+    field.sharpen(share)
+    points, latent = points_and_latents()
+    x = contract((points - field.centre) / BOUNDS.half_extent)
+    origins = (field.origins(latent) - field.centre) / BOUNDS.half_extent
+    assert origins.shape == (2, 6, 3)
+
+    def waves(y: torch.Tensor, weights: torch.Tensor) -> list[torch.Tensor]:
+        angles = [octave * y for octave in field.octaves]
+        return [w * wave(angle) for wave in (torch.sin, torch.cos) for w, angle in zip(weights, angles, strict=True)]
+
+    encoded = [x, *waves(x, torch.ones(3))]
+    for frame in range(6):
+        y = x - origins[:, None, frame]
+        encoded += [y, *waves(y, field.octave_weights)]
+    hidden = torch.cat([*encoded, field.static_features(x)], dim=-1)
+    for i, layer in enumerate(field.layers):
+        hidden = layer(hidden)
+        if str(i) in field.latent_layers:
+            hidden = hidden + field.latent_layers[str(i)](latent)[:, None]
+        hidden = hidden.relu()
+    torch.testing.assert_close(field(points, latent)[1], hidden, atol=1e-4, rtol=1e-4)
+
+
+def test_anchored_frames_start_where_they_are_put(field: RadianceField):
+    with torch.no_grad():
+        field.frame_origins.weight.zero_()
+    places = torch.tensor([[0.1, 0.7, 0.05], [0.3, 0.4, 0.2]])
+    others = field.origins(torch.zeros(1, 5))[0, 2:]
+    field.place_anchors(places)
+    torch.testing.assert_close(field.origins(torch.zeros(1, 5))[0, :2], places)
+    torch.testing.assert_close(field.origins(torch.zeros(1, 5))[0, 2:], others)
 
 
 def test_heads_after_compositing_equal_heads_before(field: RadianceField):
@@ -111,7 +147,7 @@ def test_a_blurred_field_still_sees_fine_octaves_where_nothing_moves(field: Radi
     """Only moving frames wait: with their inputs removed, sharpening changes nothing."""
     points, latent = points_and_latents()
     still = 3 + 6 * field.config.frequencies
-    moving = still * field.config.moving_frames
+    moving = still * field.frames
     with torch.no_grad():
         field.layers[0].weight[:, still : still + moving] = 0.0
     sharp = field(points, latent)

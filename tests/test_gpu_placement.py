@@ -36,9 +36,9 @@ def make_encoder() -> Encoder:
     return Encoder(EncoderConfig(latent=8, channels=[8, 16], hidden=16), rig)
 
 
-def make_field(moving_frames: int = 2) -> RadianceField:
-    config = FieldConfig(width=16, layers=3, moving_frames=moving_frames, plane_size=8, plane_features=2)
-    return RadianceField(config, FieldBounds(0.2, 2.0, (0.0, 0.0, 0.0), 0.5), 8, CLASSES, 4)
+def make_field(free_frames: int = 2, anchors: int = 1) -> RadianceField:
+    config = FieldConfig(width=16, layers=3, free_frames=free_frames, plane_size=8, plane_features=2)
+    return RadianceField(config, FieldBounds(0.2, 2.0, (0.0, 0.0, 0.0), 0.5), 8, CLASSES, 4, anchors)
 
 
 def make_batch() -> RayBatch:
@@ -51,6 +51,8 @@ def make_batch() -> RayBatch:
         torch.zeros(SCENES, RAYS, dtype=torch.int64),
         torch.rand(SCENES, RAYS),
         torch.rand(SCENES, RAYS, 4),
+        torch.rand(SCENES, 1, 3),
+        torch.ones(SCENES, 1, dtype=torch.bool),
     )
 
 
@@ -64,7 +66,7 @@ def test_a_training_step_stays_on_the_gpu():
     noise = SampleNoise(torch.rand(*shape, 4), torch.rand(*shape, 3), torch.randn(*shape, 3))
     latent = encoder(batch.images, batch.projections)
     rendered = render_with_depth(field, latent, batch.origins, batch.directions, batch.depth, SAMPLING, noise)
-    named = losses(rendered, batch)
+    named = losses(rendered, batch, field.origins(latent)[:, :1], torch.rand(1))
     values = [*named.values(), weighted_sum(named, LossConfig()), rendered.depth, *rendered.values.values()]
     assert {value.device for value in values} == {CUDA}
     for parameter in parameters:  # going backwards takes a real GPU
@@ -83,14 +85,14 @@ def test_rays_without_depth_and_latents_stay_on_the_gpu():
     assert {value.device for value in values} == {CUDA}
 
 
-@pytest.mark.parametrize("moving_frames", [0, 2])
+@pytest.mark.parametrize("frames", [0, 2])
 @pytest.mark.usefixtures("gpu")
-def test_a_folded_field_stays_on_the_gpu(moving_frames: int):
-    field = make_field(moving_frames)
+def test_a_folded_field_stays_on_the_gpu(frames: int):
+    field = make_field(frames, 0)
+    field.place_anchors(torch.rand(0, 3))
     folded = FoldedField(field, torch.rand(8))
-    density, features = folded.inside(torch.rand(7, 3))
+    density, features = folded(torch.rand(7, 3))
     assert density.device == features.device == CUDA
-    assert folded.is_inside(torch.rand(7, 3)).device == CUDA
 
 
 @pytest.mark.usefixtures("gpu")

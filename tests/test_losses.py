@@ -9,10 +9,10 @@ from nerf_rl.pretrain.config import LossConfig
 from nerf_rl.pretrain.losses import losses, weighted_sum
 from nerf_rl.pretrain.rendering import RenderedRays
 
-B, R, S, C, F = 2, 3, 4, 5, 4
+B, R, S, C, F, A = 2, 3, 4, 5, 4, 2
 
 
-def random_case(feature: bool = True) -> tuple[RenderedRays, RayBatch]:
+def random_case(feature: bool = True) -> tuple[RenderedRays, RayBatch, torch.Tensor, torch.Tensor]:
     generator = torch.Generator().manual_seed(0)
 
     def random(*shape: int) -> torch.Tensor:
@@ -32,13 +32,15 @@ def random_case(feature: bool = True) -> tuple[RenderedRays, RayBatch]:
         torch.randint(C, (B, R), generator=generator),
         random(B, R),
         random(B, R, F),
+        random(B, A, 3),
+        torch.tensor([[True, False], [True, True]]),
     )
-    return rendered, batch
+    return rendered, batch, random(B, A, 3), torch.tensor([0.5, 0.02])
 
 
 def test_each_loss_is_its_formula():
-    rendered, batch = random_case()
-    named = {name: float(value) for name, value in losses(rendered, batch).items()}
+    rendered, batch, origins, spread = random_case()
+    named = {name: float(value) for name, value in losses(rendered, batch, origins, spread).items()}
     rgb, logits, feature = (rendered.values[name].numpy() for name in ("rgb", "semantic", "feature"))
     assert named["rgb"] == pytest.approx(((rgb - batch.rgb.numpy()) ** 2).mean(), rel=1e-5)
     assert named["feature"] == pytest.approx(((feature - batch.feature.numpy()) ** 2).mean(), rel=1e-5)
@@ -51,25 +53,41 @@ def test_each_loss_is_its_formula():
         )
     assert named["semantic"] == pytest.approx(np.mean(entropy), rel=1e-5)
     assert named["depth"] == pytest.approx(np.mean(distance), rel=1e-5)
+    away = []
+    for b, a in zip(*np.nonzero(batch.seen.numpy()), strict=True):  # what is hidden does not count
+        error = np.abs((origins[b, a] - batch.middles[b, a]).numpy() / float(spread[a]))
+        away.append(np.where(error < 0.1, 5.0 * error**2, error - 0.05).sum())
+    assert named["anchor"] == pytest.approx(np.mean(away), rel=1e-5)
 
 
 def test_without_teachers_there_is_no_feature_loss():
-    assert set(losses(*random_case(feature=False))) == {"rgb", "semantic", "depth"}
+    assert set(losses(*random_case(feature=False))) == {"rgb", "semantic", "depth", "anchor"}
+
+
+def test_where_no_class_moves_there_is_no_anchor_loss():
+    rendered, batch, origins, spread = random_case()
+    assert set(losses(rendered, batch, origins[:, :0], spread[:0])) == {"rgb", "semantic", "depth", "feature"}
+
+
+def test_where_everything_is_hidden_the_anchor_loss_is_nothing():
+    rendered, batch, origins, spread = random_case()
+    hidden = batch._replace(seen=torch.zeros_like(batch.seen))
+    assert float(losses(rendered, hidden, origins, spread)["anchor"]) == 0.0
 
 
 def test_the_depth_loss_bounds_the_error_of_the_expected_depth():
-    rendered, batch = random_case()
+    rendered, batch, origins, spread = random_case()
     error = (rendered.depth - batch.depth).abs().mean()
-    assert float(losses(rendered, batch)["depth"]) >= float(error)
+    assert float(losses(rendered, batch, origins, spread)["depth"]) >= float(error)
 
 
 def test_a_perfect_rendering_costs_nothing():
-    rendered, batch = random_case()
+    rendered, batch, _, spread = random_case()
     logits = 100.0 * torch.nn.functional.one_hot(batch.semantic, C).float()
     values = {"rgb": batch.rgb, "semantic": logits, "feature": batch.feature}
     depths, weights = rendered.depths.clone(), torch.zeros(B, R, S)
     depths[..., 1], weights[..., 1] = batch.depth, 1.0
-    for name, value in losses(RenderedRays(values, depths, weights), batch).items():
+    for name, value in losses(RenderedRays(values, depths, weights), batch, batch.middles, spread).items():
         assert float(value) == pytest.approx(0.0, abs=1e-6), name
 
 

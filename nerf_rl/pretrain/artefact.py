@@ -11,7 +11,8 @@ from nerf_rl.structure import array, listing, mapping, number, one_of, optional,
 
 WEIGHTS = "encoder.safetensors"
 DESCRIPTION = "encoder.json"
-FORMAT = 1
+FORMAT = 2
+_FIRST_FORMAT = 1  # of descriptions that name none
 SIMULATORS = ("mujoco", "metaworld")
 """packages that decide what a rendered picture shows"""
 
@@ -83,7 +84,7 @@ def is_checkpoint(path: Path | str) -> bool:
 
 def _checked(path: Path, file: str, description: Any) -> dict[str, Any]:
     """Return a description after a look at its format, which decides on the rest, and at its structure."""
-    found = description.get("format", FORMAT) if isinstance(description, dict) else FORMAT
+    found = description.get("format", _FIRST_FORMAT) if isinstance(description, dict) else FORMAT
     if found != FORMAT or isinstance(found, bool):
         reason = f"the format in {file} is {found!r}, this version reads {FORMAT}"
         raise MissingFileError(

@@ -4,13 +4,14 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 from torch import Tensor
 from torch.utils.data import Dataset
 
 from nerf_rl.cameras import camera_position, pixel_directions
 from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.pretrain.anchors import visible_middles
 from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.statistics import Statistics
 from nerf_rl.pretrain.teachers import teacher_features
@@ -38,6 +39,10 @@ class RayBatch(NamedTuple):
     """true planar depth, at most that of the backdrop [m]"""
     feature: Float[Tensor, "B R F"]
     """the teachers' features"""
+    middles: Float[Tensor, "B A 3"]
+    """where the encoder's cameras see the classes that move [m]"""
+    seen: Bool[Tensor, "B A"]
+    """whether they do"""
 
 
 class RayBatches(Dataset):
@@ -79,6 +84,11 @@ class RayBatches(Dataset):
             if config.teachers
             else np.zeros((len(image), 0), np.float32)
         )
+        own = self._encoder_views
+        middles = visible_middles(
+            depth[:, own], semantic[:, own], intrinsics[own], poses[:, own], len(self._statistics.class_weights)
+        )
+        followed = list(self._statistics.anchors.classes)
         shape = (len(frames), config.rays_per_scene)
 
         def tensor(values: ndarray, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -93,6 +103,8 @@ class RayBatches(Dataset):
             tensor(semantic[scene, view, row, column], torch.int64),
             tensor(np.minimum(depth[scene, view, row, column], far)),
             tensor(features),
+            torch.from_numpy(middles.place[:, followed].astype(np.float32)),
+            torch.from_numpy(middles.seen[:, followed]),
         )
 
     def _draw_pixels(

@@ -46,8 +46,8 @@ class FieldConfig:
     """hidden layers"""
     frequencies: int = 6
     """octaves of the positional encoding"""
-    moving_frames: int = 4
-    """frames with origins linear in z, in which points are encoded as well"""
+    free_frames: int = 4
+    """frames with origins linear in z, in which points are encoded as well, beside one for each class that moves"""
     plane_size: int = 128
     """cells along an edge of the three static feature planes"""
     plane_features: int = 8
@@ -55,9 +55,9 @@ class FieldConfig:
 
     def __post_init__(self) -> None:
         require_most(self, "radiance_field.", width=2**13, layers=64, frequencies=64, plane_size=2**12)
-        require_most(self, "radiance_field.", plane_features=2**10, moving_frames=2**10)
-        if self.plane_size**2 * self.plane_features > _MOST_IN_A_PLANE or self.moving_frames < 0:
-            raise UserError("radiance_field: planes have at most 2^27 values each, and moving_frames is 0 or more")
+        require_most(self, "radiance_field.", plane_features=2**10, free_frames=2**10)
+        if self.plane_size**2 * self.plane_features > _MOST_IN_A_PLANE or self.free_frames < 0:
+            raise UserError("radiance_field: planes have at most 2^27 values each, and free_frames is 0 or more")
         if min(self.width, self.layers, self.plane_size, self.plane_features) < 1 or self.frequencies < 0:
             raise UserError(
                 "radiance_field.width, layers, plane_size and plane_features must be positive, frequencies 0 or more"
@@ -108,6 +108,8 @@ class LossConfig:
     """squared error of the teachers' features"""
     depth: float = 0.1
     """distance of the ray's weight from the known surface [m]"""
+    anchor: float = 1.0
+    """distance of frames from the visible middle of the classes that they follow, in units of how far those move"""
 
 
 @dataclass

@@ -3,6 +3,7 @@
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -33,14 +34,28 @@ class FieldBounds:
     """of the box [m]"""
 
 
+class Folded(NamedTuple):
+    """The layers of a field as B latents have them."""
+
+    weight: Float[Tensor, "B E W"]
+    """of the first layer, for a point's encoding"""
+    shifts: list[Float[Tensor, "#B 1 W"]]
+    """what each layer adds"""
+
+
 class RadianceField(nn.Module):
     """Density and features at a point of the scene that a latent describes.
 
     Most of a scene never changes, so three static feature planes hold what is common to all scenes (table, walls). What
-    does change mostly moves as a whole, so points are also encoded relative to a few frames whose origins are linear
-    in z: a drawer that slides is then one shape in a moving frame, and its position is easy to read from z. The network
+    does change mostly moves as a whole, so points are also encoded relative to frames whose origins are linear in z: a
+    drawer that slides is then one shape in a moving frame, and its position is easy to read from z. The first frames
+    each follow a class that moves (:mod:`nerf_rl.pretrain.anchors`), the others find something to follow. The network
     sees all of that and z itself. Colours, class logits and teacher features are linear in the features, so they are
     read once a ray, after compositing, which equals compositing them sample by sample.
+
+    Frames cost next to nothing. As sin(a (x - o)) = sin(a x) cos(a o) - cos(a x) sin(a o), and likewise for cos, the
+    first layer is linear in [x, sin(a x), cos(a x)] for all frames together, so for each latent the frames' weights are
+    folded into one matrix, and a point is encoded once.
 
     While training looks for the origins, :meth:`sharpen` holds back the fine octaves in moving frames: with them, an
     origin that is off by more than half a wavelength has no slope towards the right one.
@@ -51,19 +66,29 @@ class RadianceField(nn.Module):
         latent: size of z.
         classes: number of semantic classes.
         teacher_features: number of teacher features, 0 for none.
+        anchors: number of frames that follow a class; ``config.free_frames`` others come on top.
     """
 
     octaves: Tensor
     octave_weights: Tensor
     centre: Tensor
 
-    def __init__(self, config: FieldConfig, bounds: FieldBounds, latent: int, classes: int, teacher_features: int):
+    def __init__(
+        self,
+        config: FieldConfig,
+        bounds: FieldBounds,
+        latent: int,
+        classes: int,
+        teacher_features: int,
+        anchors: int = 0,
+    ):
         super().__init__()
         self.config, self.bounds = config, bounds
-        self.sizes = {"latent": latent, "classes": classes, "teacher_features": teacher_features}
+        self.sizes = {"latent": latent, "classes": classes, "teacher_features": teacher_features, "anchors": anchors}
+        self.frames = anchors + config.free_frames
         self.planes = nn.Parameter(0.1 * torch.randn(3, config.plane_features, config.plane_size, config.plane_size))
-        self.frame_origins = nn.Linear(latent, 3 * config.moving_frames) if config.moving_frames else None
-        encoded = (1 + config.moving_frames) * (3 + 6 * config.frequencies) + 3 * config.plane_features
+        self.frame_origins = nn.Linear(latent, 3 * self.frames) if self.frames else None
+        encoded = (1 + self.frames) * (3 + 6 * config.frequencies) + 3 * config.plane_features
         widths = [encoded] + [config.width] * config.layers
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))
         # z enters at the first and at the last hidden layer
@@ -93,22 +118,60 @@ class RadianceField(nn.Module):
         self, points: Float[Tensor, "B N 3"], latent: Float[Tensor, "B Z"]
     ) -> tuple[Float[Tensor, "B N"], Float[Tensor, "B N W"]]:
         """Return density [1/m] and features at world points [m] of B scenes with N points each."""
-        normalised = (points - self.centre) / self.bounds.half_extent
-        x = contract(normalised)
-        encoded = [x, *self._positional(x)]
+        return self.evaluate(points, self.fold(latent))
+
+    def origins(self, latent: Float[Tensor, "B Z"]) -> Float[Tensor, "B F 3"]:
+        """Return where in the world the frames are [m]."""
+        return self.centre + self.bounds.half_extent * self._origins_in_box(latent)
+
+    def place_anchors(self, middles: Float[Tensor, "A 3"]) -> None:
+        """Let the first frames start at world points [m], where the classes that they follow are on average."""
+        if self.frame_origins is not None and len(middles):
+            with torch.no_grad():
+                inside = (middles.to(self.centre) - self.centre) / self.bounds.half_extent
+                self.frame_origins.bias[: inside.numel()] = inside.flatten()
+
+    def fold(self, latent: Float[Tensor, "B Z"]) -> Folded:
+        """Return the layers as latents have them, for any number of points."""
+        first: nn.Linear = self.layers[0]  # type: ignore[assignment]
+        waves, block = 3 * self.config.frequencies, 3 + 6 * self.config.frequencies
         with in_full_precision(latent.device):
-            origins = self.frame_origins(latent).reshape(len(latent), 1, -1, 3) if self.frame_origins else None
-            shifts = {name: layer(latent)[:, None] for name, layer in self.latent_layers.items()}
-        if origins is not None:
-            weights = self.octave_weights.repeat(3)
-            for frame in (normalised[:, :, None] - origins).clamp(-2.0, 2.0).unbind(2):
-                encoded += [frame, *(weights * wave for wave in self._positional(frame))]
-        hidden = torch.cat([*encoded, self.static_features(x)], dim=-1)
-        for i, layer in enumerate(self.layers):
-            hidden = layer(hidden)
-            if str(i) in shifts:
-                hidden = hidden + shifts[str(i)].to(hidden.dtype)
-            hidden = F.relu(hidden)
+            shifts = [layer.bias.expand(1, 1, -1) for layer in self.layers]  # type: ignore[operator]
+            for name, added in self.latent_layers.items():
+                shifts[int(name)] = shifts[int(name)] + added(latent)[:, None]
+            weight = first.weight.T
+            folded = weight[:block].expand(len(latent), -1, -1)
+            if self.frames:
+                origins = self._origins_in_box(latent)
+                phases = (self.octaves[:, None] * origins[:, :, None]).flatten(2)  # B F 3L
+                linear, sine, cosine = (
+                    weight[block : (1 + self.frames) * block]
+                    .reshape(self.frames, block, -1)
+                    .split((3, waves, waves), dim=1)
+                )
+                seen = self.octave_weights.repeat_interleave(3)
+                c, s = seen * phases.cos(), seen * phases.sin()
+                moved = [
+                    linear.sum(0).expand(len(latent), -1, -1),
+                    torch.einsum("bfe,few->bew", c, sine) + torch.einsum("bfe,few->bew", s, cosine),
+                    torch.einsum("bfe,few->bew", c, cosine) - torch.einsum("bfe,few->bew", s, sine),
+                ]
+                folded = folded + torch.cat(moved, dim=1)
+                shifts[0] = shifts[0] - torch.einsum("bfd,fdw->bw", origins, linear)[:, None]
+            return Folded(folded, shifts)
+
+    def evaluate(
+        self, points: Float[Tensor, "B N 3"], folded: Folded
+    ) -> tuple[Float[Tensor, "B N"], Float[Tensor, "B N W"]]:
+        """Return density [1/m] and features at world points [m] of the scenes whose latents were folded."""
+        x = contract((points - self.centre) / self.bounds.half_extent)
+        # apart from the static features, since no gradient goes back to where a point is
+        hidden = torch.bmm(torch.cat([x, *self._waves(x)], dim=-1), folded.weight)
+        static = self.static_features(x)
+        hidden = hidden + F.linear(static, self.layers[0].weight[:, -static.shape[-1] :])  # type: ignore[index]
+        for layer, shift in zip([None, *self.layers[1:]], folded.shifts, strict=True):
+            hidden = hidden if layer is None else F.linear(hidden, layer.weight)
+            hidden = F.relu_(hidden + shift.to(hidden.dtype))
         return self.density_scale * F.softplus(self.density_head(hidden)[..., 0].float()), hidden
 
     @property
@@ -123,9 +186,19 @@ class RadianceField(nn.Module):
             values["feature"] = self.feature_head(features)
         return values
 
-    def _positional(self, x: Float[Tensor, "B N 3"]) -> tuple[Float[Tensor, "B N E"], Float[Tensor, "B N E"]]:
-        angles = (x[..., None] * self.octaves).flatten(-2)
-        return torch.sin(angles), torch.cos(angles)
+    def _origins_in_box(self, latent: Float[Tensor, "B Z"]) -> Float[Tensor, "B F 3"]:
+        if self.frame_origins is None:
+            return latent.new_zeros(len(latent), 0, 3)
+        return self.frame_origins(latent).reshape(len(latent), -1, 3)
+
+    def _waves(self, x: Float[Tensor, "B N 3"]) -> list[Float[Tensor, "B N 3"]]:
+        """Return the sines of all octaves, then their cosines, by the double-angle formulas."""
+        sines, cosines = [torch.sin(torch.pi * x)], [torch.cos(torch.pi * x)]
+        for _ in range(1, self.config.frequencies):
+            sine, cosine = sines[-1], cosines[-1]
+            sines.append(2.0 * sine * cosine)
+            cosines.append(1.0 - 2.0 * sine.square())
+        return [*sines, *cosines][: 2 * self.config.frequencies]
 
     def static_features(self, x: Float[Tensor, "B N 3"]) -> Float[Tensor, "B N G"]:
         """Return what the feature planes hold at contracted points."""
@@ -148,7 +221,7 @@ class RadianceField(nn.Module):
         """
         described = read_field_description(folder)
         bounds = FieldBounds(**{**described["bounds"], "centre": tuple(described["bounds"]["centre"])})
-        sizes = {name: described[name] for name in ("latent", "classes", "teacher_features")}
+        sizes = {name: described[name] for name in ("latent", "classes", "teacher_features", "anchors")}
 
         def make() -> RadianceField:
             return cls(FieldConfig(**described["config"]), bounds, **sizes)

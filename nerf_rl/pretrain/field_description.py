@@ -8,8 +8,8 @@ from nerf_rl.runs import read_json
 from nerf_rl.structure import array, mapping, number, whole
 
 WEIGHTS, DESCRIPTION = "field.safetensors", "field.json"
-FORMAT = 1
-"""of today; a description of old that names none has this one, too"""
+FORMAT = 2
+_FIRST_FORMAT = 1  # of descriptions that name none
 
 _SIZE = whole(1, 2**20)
 _STRUCTURE = mapping(
@@ -20,7 +20,7 @@ _STRUCTURE = mapping(
                 "width": _SIZE,
                 "layers": whole(1, 64),
                 "frequencies": whole(0, 64),
-                "moving_frames": whole(0, 2**16),
+                "free_frames": whole(0, 2**10),
                 "plane_size": _SIZE,
                 "plane_features": _SIZE,
             },
@@ -29,6 +29,7 @@ _STRUCTURE = mapping(
         "latent": _SIZE,
         "classes": whole(1, 256),
         "teacher_features": whole(0, 2**16),
+        "anchors": whole(0, 256),
     },
     {"format": whole()},
 )
@@ -44,7 +45,7 @@ def read_field_description(folder: Path) -> dict[str, Any]:
     path = folder / DESCRIPTION
     try:
         described = read_json(path)
-        found = described.get("format", FORMAT) if isinstance(described, dict) else FORMAT
+        found = described.get("format", _FIRST_FORMAT) if isinstance(described, dict) else FORMAT
         if found != FORMAT or isinstance(found, bool):
             reason = f"its format is {found!r}, this version reads {FORMAT}"
             raise MissingFileError("a radiance field for this version", path, reason, remedy)

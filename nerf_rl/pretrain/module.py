@@ -22,6 +22,7 @@ from nerf_rl.pretrain.encoder_rig import EncoderRig
 from nerf_rl.pretrain.field import RadianceField
 from nerf_rl.pretrain.latent_statistics import FRAMES, FRAMES_IN_TRAINING, measure_latents
 from nerf_rl.pretrain.losses import losses, weighted_sum
+from nerf_rl.pretrain.precision import in_full_precision
 from nerf_rl.pretrain.rendering import RenderedImages, SampleNoise, render_images, render_with_depth
 from nerf_rl.pretrain.statistics import Statistics
 from nerf_rl.pretrain.teachers import WIDTHS
@@ -43,6 +44,8 @@ class SnerlModule(lightning.LightningModule):
         rig: the encoder's cameras.
     """
 
+    anchor_spread: Tensor
+
     def __init__(self, config: PretrainConfig, dataset: MultiViewDataset, statistics: Statistics, rig: EncoderRig):
         super().__init__()
         self.config, self._dataset, self._bounds = config, dataset, statistics.bounds
@@ -55,9 +58,17 @@ class SnerlModule(lightning.LightningModule):
         self.encoder.simulators = {name: packages[name] for name in SIMULATORS if name in packages}
         teacher_width = sum(WIDTHS[teacher] for teacher in config.teachers)
         classes = len(dataset.class_names)
+        anchors = statistics.anchors
         self.field = RadianceField(
-            config.radiance_field, statistics.bounds, config.encoder.latent, classes, teacher_width
+            config.radiance_field,
+            statistics.bounds,
+            config.encoder.latent,
+            classes,
+            teacher_width,
+            len(anchors.classes),
         )
+        self.field.place_anchors(torch.from_numpy(anchors.mean))
+        self.register_buffer("anchor_spread", torch.from_numpy(anchors.spread).float(), persistent=False)
         self.validation: dict[str, float | None] = {}
         self.class_iou: dict[str, float | None] = {}
         self.class_share: dict[str, float] = {}
@@ -83,7 +94,9 @@ class SnerlModule(lightning.LightningModule):
             self.config.sampling,
             self._noise(len(batch.images)),
         )
-        named = losses(rendered, batch)
+        with in_full_precision(self.device):
+            origins = self.field.origins(latent)[:, : len(self.anchor_spread)]
+        named = losses(rendered, batch, origins, self.anchor_spread)
         total = weighted_sum(named, self.config.losses)
         values = mean_over_processes(torch.stack([value.detach() for value in (*named.values(), total)]))
         self.ray_error = values[0]

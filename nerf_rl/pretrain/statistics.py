@@ -9,6 +9,7 @@ from numpy import ndarray
 from nerf_rl.cameras import camera_position, pixel_directions
 from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.errors import UserError
+from nerf_rl.pretrain.anchors import Anchors, Middles, choose_anchors, visible_middles
 from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.field import FieldBounds
 
@@ -30,6 +31,8 @@ class Statistics(NamedTuple):
     """of a pixel by its class, when rays are drawn"""
     pixel_weights: Float[ndarray, "V H W"]
     """of a pixel by its place, for encoder and supervision cameras"""
+    anchors: Anchors
+    """classes that move, as the encoder's cameras see them"""
 
 
 class _Pixels(NamedTuple):
@@ -63,7 +66,8 @@ def measure(dataset: MultiViewDataset, config: PretrainConfig) -> Statistics:
     change = np.where(moving[:, None, None], 0.0, class_change(shown))
     change[moving] = change[~moving].mean() if not moving.all() else 0.0
     bounds = _bounds(dataset, config, pixels, intrinsics[views], poses[:, views])
-    return Statistics(bounds, frequency**-config.class_balance, 1.0 + config.change_boost * change)
+    weights = frequency**-config.class_balance, 1.0 + config.change_boost * change
+    return Statistics(bounds, *weights, choose_anchors(_middles(dataset, frames)))
 
 
 def class_change(shown: Int[ndarray, "C V H W"]) -> Float[ndarray, "V H W"]:
@@ -98,6 +102,17 @@ def _look(dataset: MultiViewDataset, frames: ndarray, views: list[int]) -> tuple
         is_background = semantic.ravel()[index] == _BACKGROUND
         parts.append(_Pixels(frame + first, view, row, column, depth.ravel()[index], is_background))
     return _Pixels(*(np.concatenate(column) for column in zip(*parts, strict=True))), shown
+
+
+def _middles(dataset: MultiViewDataset, frames: ndarray) -> Middles:
+    """Return where the encoder's cameras see each class."""
+    views, parts = dataset.views("encoder"), []
+    for first in range(0, len(frames), _FRAMES_AT_ONCE):
+        chunk = frames[first : first + _FRAMES_AT_ONCE]
+        intrinsics, poses = dataset.cameras(chunk)
+        depth, semantic = dataset.read("depth", chunk)[:, views], dataset.read_labels(chunk)[:, views]
+        parts.append(visible_middles(depth, semantic, intrinsics[views], poses[:, views], len(dataset.class_names)))
+    return Middles(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def _bounds(
