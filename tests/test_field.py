@@ -169,3 +169,12 @@ def test_a_stored_field_is_the_same_field(field: RadianceField, tmp_path: Path, 
     mine, theirs = field.read(torch.ones(12)), loaded.read(torch.ones(12))
     for name, value in mine.items():
         torch.testing.assert_close(value, theirs[name], atol=0, rtol=0)
+
+
+def test_points_that_are_nowhere_are_looked_up_without_harm(field: RadianceField):
+    """PyTorch's grid_sample reads and writes outside of its grid there, which ends the process."""
+    points = torch.rand(2, 40, 3)
+    points[0, :20], points[1, 5:30] = float("nan"), float("inf")
+    density, features = field(points, torch.zeros(2, field.sizes["latent"]))
+    (density.nan_to_num(0.0).sum() + features.nan_to_num(0.0).sum()).backward()
+    assert density[1, :5].isfinite().all() and field.planes.grad is not None
