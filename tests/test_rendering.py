@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from nerf_rl import cameras
+from nerf_rl.errors import UserError
 from nerf_rl.pretrain import rendering
 from nerf_rl.pretrain.config import SamplingConfig
 from nerf_rl.pretrain.field import FieldBounds, RadianceField
@@ -110,6 +111,29 @@ def test_with_known_depth_few_samples_find_the_same_surface():
     assert float((rendered.depth - depth).abs().median()) < 0.01
     hit = depth < 2.0
     assert float((rendered.values["semantic"].argmax(-1) == hit).float().mean()) > 0.98
+
+
+def test_in_training_too_the_surface_is_found_without_known_depth():
+    """Importance samples lie where the even ones found density, whatever depth says."""
+    origins, directions, depth = rays()
+    latent = torch.full((2, 1), RADIUS)
+    sampling = SamplingConfig(
+        training_stratified=48, training_importance=32, training_approach=0, training_surface=0, rendering_stratified=48
+    )
+    generator = torch.Generator().manual_seed(0)
+    drawn = rendering.SampleNoise.draw(sampling, 2, SIZE * SIZE, generator, torch.device("cpu"))
+    told = torch.rand(depth.shape, generator=generator)
+    rendered = rendering.render_with_depth(SphereField(), latent, origins, directions, told, sampling, drawn)
+    assert rendered.depths.shape[-1] == 48 + 32 + 1 and (rendered.depths.diff(dim=-1) >= 0).all()
+    hit = depth < 2.0
+    near = (rendered.depths - depth[..., None]).abs() < 0.05
+    assert float(near[hit].sum(-1).float().mean()) > 8
+    assert float((rendered.depth - depth)[hit].abs().median()) < 0.02
+
+
+def test_importance_samples_in_training_need_even_ones():
+    with pytest.raises(UserError, match="training_importance needs at least 2 training_stratified"):
+        SamplingConfig(training_stratified=1, training_importance=8)
 
 
 def test_each_scene_is_rendered_from_its_own_latent():

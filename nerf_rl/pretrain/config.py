@@ -82,15 +82,20 @@ class SamplingConfig:
     """samples a training ray, around its known depth"""
     surface_deviation: float = 0.02
     """standard deviation of those [m]"""
+    training_importance: int = 0
+    """samples a training ray, where the even ones found density; 0 where depth says where to look"""
     rendering_stratified: int = 40
     """samples a ray without depth, evenly"""
     rendering_importance: int = 24
     """samples a ray without depth, where the first ones found density"""
 
     def __post_init__(self) -> None:
+        if self.training_importance and self.training_stratified < 2:
+            raise UserError("sampling.training_importance needs at least 2 training_stratified samples")
         if self.training_stratified < 1 or self.rendering_stratified < 2:
             raise UserError("sampling: rays need at least 1 stratified sample in training and 2 in rendering")
-        if min(self.training_approach, self.training_surface, self.rendering_importance) < 0:
+        counts = self.training_approach, self.training_surface, self.training_importance, self.rendering_importance
+        if min(counts) < 0:
             raise UserError("sampling: numbers of samples must not be negative")
         if self.near is not None and self.far is not None and not 0 < self.near < self.far:
             raise UserError(f"sampling needs 0 < near < far, got near {self.near} and far {self.far}")

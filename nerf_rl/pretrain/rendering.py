@@ -97,14 +97,16 @@ def render_with_depth(
 ) -> RenderedRays:
     """Render rays whose planar depth [m] is known: samples everywhere, before the surface, and around it.
 
-    Those before the surface tell the field what is empty where something might have been.
+    Those before the surface tell the field what is empty where something might have been. With importance samples as
+    well, or instead, rays are looked for as if their depth were unknown: where those everywhere found density.
     """
     near, far = field.bounds.near, field.bounds.far
     even = stratified_samples(near, far, noise.even)
     before = approach_samples(depth, config.approach_reach, near, noise.before)
     around = surface_samples(depth, config.surface_deviation, near, far, noise.around)
+    found = _found_density(field, latent, origins, directions, even, config.training_importance)
     backdrop = torch.full_like(depth[..., None], far)
-    depths = torch.cat([torch.cat([even, before, around], dim=-1).sort(-1).values, backdrop], dim=-1)
+    depths = torch.cat([torch.cat([even, before, around, found], dim=-1).sort(-1).values, backdrop], dim=-1)
     return render_at(field, latent, origins, directions, depths)
 
 
@@ -120,9 +122,7 @@ def render_without_depth(
     near, far = field.bounds.near, field.bounds.far
     shape = tuple(origins.shape[:2])
     even = even_samples(near, far, shape, config.rendering_stratified, origins.device)
-    density, _ = _evaluate(field, latent, origins, directions, even)
-    coarse = rendering_weights(density, sample_spacings(even, directions))
-    fine = importance_samples(even, coarse, config.rendering_importance)
+    fine = _found_density(field, latent, origins, directions, even, config.rendering_importance)
     backdrop = torch.full_like(even[..., :1], far)
     depths = torch.cat([torch.cat([even, fine], dim=-1).sort(-1).values, backdrop], dim=-1)
     return render_at(field, latent, origins, directions, depths)
@@ -173,6 +173,17 @@ def render_images(
         torch.cat(semantic).reshape(shape).cpu().numpy(),
         torch.cat(depth).reshape(shape).cpu().numpy(),
     )
+
+
+@torch.no_grad()
+def _found_density(
+    field: RadianceField, latent: Tensor, origins: Tensor, directions: Tensor, even: Float[Tensor, "B R S"], count: int
+) -> Float[Tensor, "B R M"]:
+    """Return planar depths [m] where samples found density."""
+    if not count:
+        return even[..., :0]
+    density, _ = _evaluate(field, latent, origins, directions, even)
+    return importance_samples(even, rendering_weights(density, sample_spacings(even, directions)), count)
 
 
 def _evaluate(
