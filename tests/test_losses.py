@@ -54,9 +54,11 @@ def test_each_loss_is_its_formula():
     assert named["semantic"] == pytest.approx(np.mean(entropy), rel=1e-5)
     assert named["depth"] == pytest.approx(np.mean(distance), rel=1e-5)
     away = []
-    for b, a in zip(*np.nonzero(batch.seen.numpy()), strict=True):  # what is hidden does not count
+    for b, a in np.ndindex(*batch.seen.shape):
         error = np.abs((origins[b, a] - batch.middles[b, a]).numpy() / float(spread[a]))
-        away.append(np.where(error < 0.1, 5.0 * error**2, error - 0.05).sum())
+        each = np.where(error < 0.1, 5.0 * error**2, error - 0.05).sum()
+        away.append(each if batch.seen[b, a] else 0.0)
+    assert 0 < batch.seen.sum() < batch.seen.numel()
     assert named["anchor"] == pytest.approx(np.mean(away), rel=1e-5)
 
 

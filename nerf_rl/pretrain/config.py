@@ -7,14 +7,17 @@ from typing import Any
 from nerf_rl.devices import check_device_name
 from nerf_rl.errors import UnknownNameError, UserError
 from nerf_rl.limits import require_most, require_seed
+from nerf_rl.pretrain.stopping import parse_goal
 
 TEACHERS = ("depth", "normals")
 _MOST_IN_A_PLANE = 2**27
 PRECISIONS = ("auto", "32", "bf16")
 ACCELERATORS = ("auto", "cpu", "gpu")
 STRATEGIES = ("auto", "ddp")
+FIELD, RANDOM = "field", "random"
+OBJECTIVES = (FIELD, "autoencoder", "depth", "masked", "contrastive", "supervised", RANDOM)
 _HOW_NOT_WHAT = "data out resume overwrite threads loader_workers steps max_minutes accelerator devices nodes strategy"
-_HOW_NOT_WHAT += " log_every"
+_HOW_NOT_WHAT += " log_every stop_when"
 
 
 @dataclass
@@ -147,6 +150,8 @@ class PretrainConfig:
     """training steps"""
     max_minutes: float | None = None
     """wall-clock budget [minutes]; schedules end with it"""
+    stop_when: str | None = None
+    """measure of a validation that ends the run, such as miou>=0.9, psnr_db>=24 or depth_mae_m<=0.03"""
     learning_rate: float = 7e-4
     """peak rate of Adam"""
     sharp_at: float = 0.4
@@ -209,6 +214,10 @@ class PretrainConfig:
             raise UserError(f"--learning_rate must be positive, got {self.learning_rate}")
         if not 0 < self.sharp_at <= 1:
             raise UserError(f"--sharp_at must be in (0, 1], got {self.sharp_at}")
+        if self.stop_when is not None:
+            if self.objective != FIELD:
+                raise UserError(f"--stop_when needs validations, which --objective {self.objective} has none of")
+            parse_goal(self.stop_when)
         if self.max_minutes is not None and self.max_minutes <= 0:
             raise UserError(f"--max_minutes must be positive, got {self.max_minutes}")
 

@@ -36,6 +36,6 @@ def of_first_process(value: float, device: torch.device) -> float:
     return float(shared)
 
 
-def is_lost_connection(error: RuntimeError) -> bool:
+def is_lost_connection(error: Exception) -> bool:
     """Tell whether an error is that of a process whose partner has gone."""
     return isinstance(error, distributed.DistError) or "gloo" in str(error)

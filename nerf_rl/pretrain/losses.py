@@ -23,7 +23,7 @@ def losses(
     error of the teachers' features. ``depth``: mean distance of a ray's weight from its known surface [m],
     ``sum_i w_i |t_i - depth|``, which bounds the error of the expected depth from above and is only zero if all weight
     lies on the surface. ``anchor``: Huber loss between the frames that follow classes and the visible middles of those,
-    in units of how far each class moves, so that what moves little counts as much; what is hidden does not count.
+    in units of how far each class moves, so that what moves little counts as much; what is hidden counts as right.
 
     Args:
         rendered: rays of the batch.
@@ -42,7 +42,7 @@ def losses(
     if len(spread):
         errors = (origins - batch.middles) / spread[:, None]
         each = F.smooth_l1_loss(errors, torch.zeros_like(errors), reduction="none", beta=_BETA)
-        named["anchor"] = (each.sum(-1) * batch.seen).sum() / batch.seen.sum().clamp_min(1)
+        named["anchor"] = (each.sum(-1) * batch.seen).mean()
     return named
 
 
