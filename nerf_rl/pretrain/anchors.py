@@ -27,6 +27,11 @@ class Middles(NamedTuple):
     seen: Bool[ndarray, "B C"]
     """whether there are enough"""
 
+    @classmethod
+    def of_nothing(cls, classes: int) -> "Middles":
+        """Return those of one frame that shows nothing."""
+        return cls(np.zeros((1, classes, 3)), np.zeros((1, classes), bool))
+
 
 class Anchors(NamedTuple):
     """The classes that move, of which each is followed by a frame."""

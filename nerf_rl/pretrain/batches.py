@@ -63,7 +63,7 @@ class RayBatches(Dataset):
 
     def __getitem__(self, step: int) -> RayBatch:
         config, far = self._config, self._statistics.bounds.far
-        rng = np.random.default_rng([config.seed, step])
+        rng = step_random(config, step)
         frames = rng.choice(self._frames, config.scenes_per_step)[self._share]
         rgb, depth = (self._dataset.read(name, frames) for name in ("rgb", "depth"))
         semantic = self._dataset.read_labels(frames)
@@ -85,10 +85,8 @@ class RayBatches(Dataset):
             else np.zeros((len(image), 0), np.float32)
         )
         own = self._encoder_views
-        middles = visible_middles(
-            depth[:, own], semantic[:, own], intrinsics[own], poses[:, own], len(self._statistics.class_weights)
-        )
-        followed = list(self._statistics.anchors.classes)
+        followed, classes = list(self._statistics.anchors.classes), len(self._statistics.class_weights)
+        middles = visible_middles(depth[:, own], semantic[:, own], intrinsics[own], poses[:, own], classes)
         shape = (len(frames), config.rays_per_scene)
 
         def tensor(values: ndarray, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -127,3 +125,13 @@ class RayBatches(Dataset):
         pixel = np.take_along_axis(candidates, np.minimum(drawn, candidates.shape[1] - 1), axis=1).ravel()
         view, row, column = np.unravel_index(pixel, semantic.shape[1:])
         return np.repeat(np.arange(len(semantic)), rays), np.asarray(self._views)[view], row, column
+
+
+def step_random(config: PretrainConfig, step: int) -> np.random.Generator:
+    """Return the source of all that is drawn for a step's batch."""
+    return np.random.default_rng([config.seed, step])
+
+
+def drawn_frames(dataset: MultiViewDataset, config: PretrainConfig, step: int) -> Int[ndarray, "B"]:
+    """Return the frames of a step's batch."""
+    return step_random(config, step).choice(dataset.split("train"), config.scenes_per_step)

@@ -128,6 +128,9 @@ class PretrainConfig:
     """dataset folder"""
     out: str
     """output folder"""
+    objective: str = FIELD
+    """what teaches the encoder: field (the radiance field), autoencoder, depth, masked (an autoencoder of hidden
+    views and patches), contrastive, supervised (the true state), or random (nothing: an untrained encoder)"""
     encoder: EncoderConfig = field(default_factory=EncoderConfig)
     """multi-view encoder"""
     radiance_field: FieldConfig = field(default_factory=FieldConfig)
@@ -191,7 +194,8 @@ class PretrainConfig:
         for teacher in self.teachers:
             if teacher not in TEACHERS:
                 raise UnknownNameError("teacher", teacher, TEACHERS)
-        for name, available in (("precision", PRECISIONS), ("accelerator", ACCELERATORS), ("strategy", STRATEGIES)):
+        choices = {"precision": PRECISIONS, "accelerator": ACCELERATORS, "strategy": STRATEGIES}
+        for name, available in (choices | {"objective": OBJECTIVES}).items():
             if getattr(self, name) not in available:
                 raise UnknownNameError(name, getattr(self, name), available)
         positive = "scenes_per_step rays_per_scene steps steps_per_epoch epochs_per_validation validation_frames"
@@ -206,6 +210,8 @@ class PretrainConfig:
                 f"--scenes_per_step {self.scenes_per_step} cannot be shared evenly by {self.processes} processes "
                 "(--devices times --nodes)"
             )
+        if self.objective != FIELD and self.processes > 1:
+            raise UserError(f"--objective {self.objective} is trained on one device; only {FIELD} is shared by several")
         require_most(self, scenes_per_step=2**16, rays_per_scene=2**16, loader_workers=1024, threads=1024, devices=1024)
         if self.scenes_per_step * self.rays_per_scene > 2**22:
             raise UserError("scenes_per_step x rays_per_scene is at most 2^22")

@@ -11,13 +11,15 @@ from torch.utils.data import DataLoader, Dataset
 
 from nerf_rl.datasets.reader import MultiViewDataset
 from nerf_rl.pretrain.batches import RayBatch, RayBatches
-from nerf_rl.pretrain.config import PretrainConfig
+from nerf_rl.pretrain.config import FIELD, PretrainConfig
 from nerf_rl.pretrain.encoder_rig import EncoderRig
 from nerf_rl.pretrain.statistics import measure
+from nerf_rl.pretrain.view_batches import ViewBatch, ViewBatches
 
 _AHEAD = 2  # batches that are prepared before they are asked for
 _WORKERS_OF_A_GPU = 2  # a batch takes about as long to prepare as a step on a GPU, whose launches keep one core busy
 NO_FRAME = -1
+Batch = RayBatch | ViewBatch
 
 
 class EpochSteps:
@@ -56,9 +58,9 @@ class BatchesAhead:
     def __init__(self, batches: Dataset, steps: EpochSteps):
         self._batches, self._steps = batches, steps
 
-    def __iter__(self) -> Iterator[RayBatch]:
+    def __iter__(self) -> Iterator[Batch]:
         with ThreadPoolExecutor(1, "batches") as thread:
-            waiting: deque[Future[RayBatch]] = deque()
+            waiting: deque[Future[Batch]] = deque()
             for step in self._steps:
                 waiting.append(thread.submit(self._batches.__getitem__, step))
                 if len(waiting) > _AHEAD:
@@ -90,9 +92,9 @@ class MultiViewDataModule(lightning.LightningDataModule):
         self._workers = usual if config.loader_workers is None else config.loader_workers
         self.statistics = measure(dataset, config)
         self.rig = EncoderRig.of_dataset(dataset)
-        self._train: Iterable[RayBatch] | None = None
+        self._train: Iterable[Batch] | None = None
 
-    def train_dataloader(self) -> Iterable[RayBatch]:
+    def train_dataloader(self) -> Iterable[Batch]:
         """Return the batches of the current epoch, in this process's share; it is one object for all epochs.
 
         Its worker processes, if there are any, thereby live as long as the run.
@@ -100,7 +102,8 @@ class MultiViewDataModule(lightning.LightningDataModule):
         if self._train is None:
             scenes = self._config.scenes_per_step // self._ranks
             share = slice(self._rank * scenes, (self._rank + 1) * scenes)
-            batches = RayBatches(self._dataset, self._config, self.statistics, share)
+            kind = RayBatches if self._config.objective == FIELD else ViewBatches
+            batches = kind(self._dataset, self._config, self.statistics, share)
             steps = EpochSteps(self._config.steps, self._config.steps_per_epoch, self._steps_done)
             self._train = (
                 _in_processes(batches, steps, self._workers, self._on_gpu)
@@ -125,7 +128,7 @@ class MultiViewDataModule(lightning.LightningDataModule):
         return self.trainer.global_step if self.trainer is not None else 0
 
 
-def _in_processes(batches: RayBatches, steps: EpochSteps, workers: int, on_gpu: bool) -> DataLoader:
+def _in_processes(batches: RayBatches | ViewBatches, steps: EpochSteps, workers: int, on_gpu: bool) -> DataLoader:
     return DataLoader(
         batches,
         batch_size=None,

@@ -8,7 +8,12 @@ _LEAST_IOU = 0.3
 
 
 def describe_validation(figures: Mapping[str, float | None]) -> str:
-    """Return the figures of held-out frames as part of a sentence; what could not be measured is unknown."""
+    """Return the figures of held-out frames as part of a sentence; what could not be measured is unknown.
+
+    An encoder without a radiance field has none.
+    """
+    if not figures:
+        return "no field to validate"
     depth = figures["depth_mae_m"]
     return (
         f"PSNR {figures['psnr_db']:.1f} dB, mIoU {figures['miou']:.2f}, "

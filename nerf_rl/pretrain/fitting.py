@@ -1,6 +1,7 @@
 """Training with Lightning, and the export of what came out."""
 
 import logging
+import math
 import time
 import warnings
 from dataclasses import dataclass
@@ -14,14 +15,18 @@ from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 
 from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.pretrain.config import PretrainConfig
+from nerf_rl.pretrain.batches import drawn_frames
+from nerf_rl.pretrain.config import FIELD, RANDOM, PretrainConfig
 from nerf_rl.pretrain.data_module import NO_FRAME, MultiViewDataModule
 from nerf_rl.pretrain.distributed import is_lost_connection
+from nerf_rl.pretrain.encoder_module import EncoderModule
+from nerf_rl.pretrain.faults import FAILED_BATCH, NotFiniteError, OutOfMemoryError, is_out_of_memory
 from nerf_rl.pretrain.figures import describe_validation
 from nerf_rl.pretrain.latent_statistics import measure_latents
 from nerf_rl.pretrain.launch import LostProcessError
 from nerf_rl.pretrain.linear_probe import ProbeResult, probe_encoder
 from nerf_rl.pretrain.module import SnerlModule
+from nerf_rl.pretrain.picture_module import PictureModule
 from nerf_rl.pretrain.placement import (
     choose_accelerator,
     choose_strategy,
@@ -34,6 +39,7 @@ from nerf_rl.pretrain.reconstruction import reconstruction_grid
 from nerf_rl.pretrain.resuming import require_resumable
 from nerf_rl.pretrain.train import CHECKPOINT
 from nerf_rl.progress import Progress
+from nerf_rl.runs import write_json
 
 _FRAMES_IN_GRID = 3
 
@@ -56,17 +62,21 @@ class FitResult:
 def fit(config: PretrainConfig, dataset: MultiViewDataset, folder: Path, checkpoint: Path | None) -> FitResult | None:
     """Train, validate, probe and export into a folder, from a checkpoint if one is given.
 
+    Only a radiance field is validated, since only that renders what the cameras saw.
+
     Returns:
         What was measured; None in all processes but the first of those that share the run.
 
     Raises:
         KeyboardInterrupt: the user interrupted; the last checkpoint stays.
+        NotFiniteError: a step's gradient is not finite; the last checkpoint stays.
+        OutOfMemoryError: there is not enough memory for a step.
         LostProcessError: another process that shares the run has gone.
     """
     accelerator = choose_accelerator(config.accelerator, config.devices)
     precision = resolve_precision(config.precision, torch.device(accelerator))
-    if (threads := thread_count(config, accelerator)) is not None:
-        torch.set_num_threads(threads)
+    threads = thread_count(config, accelerator) or torch.get_num_threads()
+    torch.set_num_threads(threads)
     for name in ("lightning.pytorch", "lightning.fabric"):  # advertisements, lists of devices and processes
         logging.getLogger(name).setLevel(logging.WARNING)
     warnings.filterwarnings("ignore", module="lightning.pytorch.*")
@@ -96,22 +106,34 @@ def fit(config: PretrainConfig, dataset: MultiViewDataset, folder: Path, checkpo
         check_val_every_n_epoch=config.epochs_per_validation,
         reload_dataloaders_every_n_epochs=1,
         use_distributed_sampler=False,  # a batch and a validation share themselves out
-        num_sanity_val_steps=1,
+        num_sanity_val_steps=1 if config.objective == FIELD else 0,
+        limit_val_batches=1.0 if config.objective == FIELD else 0,
         log_every_n_steps=config.log_every,
         enable_progress_bar=False,
         enable_model_summary=False,
     )
     data = MultiViewDataModule(dataset, config, trainer.global_rank, trainer.world_size, accelerator == "cuda")
-    module = SnerlModule(config, dataset, data.statistics, data.rig)
+    module = make_module(config, dataset, data, threads if accelerator == "cpu" else 1)
     if checkpoint is not None:
         require_resumable(checkpoint, module, trainer)
     try:
-        trainer.fit(module, data, ckpt_path=checkpoint, weights_only=True)
-        if module.validated_step != trainer.global_step:
+        if config.objective != RANDOM:
+            trainer.fit(module, data, ckpt_path=checkpoint, weights_only=True)
+        torch.set_num_threads(threads)
+        if isinstance(module, SnerlModule) and module.validated_step != trainer.global_step:
             trainer.validate(module, data, verbose=False)
     except SystemExit as error:  # what Lightning makes of an interruption
         raise KeyboardInterrupt from error
-    except RuntimeError as error:
+    except NotFiniteError as error:
+        if trainer.is_global_zero:
+            frames = drawn_frames(dataset, config, error.step).tolist()
+            losses = {name: value if math.isfinite(value) else None for name, value in error.losses.items()}
+            failed = {"step": error.step, "seed": config.seed, "frames": frames, "losses": losses}
+            write_json(folder / FAILED_BATCH, failed)
+        raise
+    except (RuntimeError, MemoryError) as error:
+        if is_out_of_memory(error):
+            raise OutOfMemoryError(describe_device(trainer.strategy.root_device)) from error
         if trainer.world_size > 1 and is_lost_connection(error):
             raise LostProcessError("another process of the run has gone") from error
         raise
@@ -123,8 +145,28 @@ def fit(config: PretrainConfig, dataset: MultiViewDataset, folder: Path, checkpo
     return FitResult(trainer.global_step, module.seconds, device, precision, *found)
 
 
-def _export(module: SnerlModule, dataset: MultiViewDataset, config: PretrainConfig, folder: Path) -> ProbeResult:
-    """Probe the encoder, set its latents' statistics, and write encoder and field."""
+def make_module(
+    config: PretrainConfig, dataset: MultiViewDataset, data: MultiViewDataModule, threads: int = 1
+) -> EncoderModule:
+    """Return what trains the encoder by the configuration's objective.
+
+    Args:
+        config: of the run.
+        dataset: to train on.
+        data: its batches and statistics.
+        threads: that share a step's scenes, where the objective allows it.
+    """
+    if config.objective == FIELD:
+        module = SnerlModule(config, dataset, data.statistics, data.rig)
+        module.threads = threads
+        return module
+    if config.objective == RANDOM:
+        return EncoderModule(config, dataset, data.rig)
+    return PictureModule(config, dataset, data.rig)
+
+
+def _export(module: EncoderModule, dataset: MultiViewDataset, config: PretrainConfig, folder: Path) -> ProbeResult:
+    """Probe the encoder, set its latents' statistics, and write encoder and, if there is one, field."""
     print("probing the encoder, and an untrained one beside it", flush=True)
     encoder = module.encoder.cpu().eval().requires_grad_(False)
     probe = probe_encoder(encoder, dataset, config.probe_frames, config.seed)
@@ -134,12 +176,14 @@ def _export(module: SnerlModule, dataset: MultiViewDataset, config: PretrainConf
     description = {
         "classes": list(dataset.class_names),
         "palette": dataset.palette.tolist(),
+        "objective": config.objective,
         "dataset": {"folder": str(dataset.folder), "sha256": dataset.digest()},
         "validation": module.validation,
         "probe": probe.encoder,
     }
     encoder.save(folder, description)
-    module.field.cpu().save(folder)
+    if isinstance(module, SnerlModule):
+        module.field.cpu().save(folder)
     return probe
 
 
@@ -153,7 +197,7 @@ class _ProgressLines(Callback):
         self._progress = Progress(self._steps, "steps", done=trainer.global_step)
 
     def on_train_batch_end(self, trainer: lightning.Trainer, module: lightning.LightningModule, *_: Any) -> None:
-        if trainer.is_global_zero and isinstance(module, SnerlModule):
+        if trainer.is_global_zero and isinstance(module, EncoderModule):
             self._progress.advance(note=module.describe_step)
 
     def on_validation_start(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:

@@ -67,7 +67,8 @@ def measure(dataset: MultiViewDataset, config: PretrainConfig) -> Statistics:
     change[moving] = change[~moving].mean() if not moving.all() else 0.0
     bounds = _bounds(dataset, config, pixels, intrinsics[views], poses[:, views])
     weights = frequency**-config.class_balance, 1.0 + config.change_boost * change
-    return Statistics(bounds, *weights, choose_anchors(_middles(dataset, frames)))
+    followed = _middles(dataset, frames) if config.losses.anchor else Middles.of_nothing(len(dataset.class_names))
+    return Statistics(bounds, *weights, choose_anchors(followed))
 
 
 def class_change(shown: Int[ndarray, "C V H W"]) -> Float[ndarray, "V H W"]:
