@@ -20,7 +20,8 @@ from nerf_rl.pretrain.picture_module import PictureModule
 from nerf_rl.pretrain.statistics import measure
 from nerf_rl.pretrain.view_batches import ViewBatch, ViewBatches
 
-RECIPES = sorted(Path("pretrain/objectives").glob("*.yaml"))
+ROOT = Path(__file__).parents[1] / "pretrain"
+DEMO, RECIPES = str(ROOT / "demo.yaml"), sorted((ROOT / "objectives").glob("*.yaml"))
 SMALL = ["--steps", "4", "--steps_per_epoch", "2", "--scenes_per_step", "4", "--rays_per_scene", "8"]
 SMALL += ["--validation_frames", "2", "--probe_frames", "9", "--threads", "1"]
 
@@ -40,7 +41,7 @@ def encoder(tiny_dataset: Path) -> Encoder:
 
 
 def pretrain(data: Path, out: Path, *arguments: str) -> int:
-    return cli.main(["pretrain", "--config", "pretrain/demo.yaml", *arguments, "--data", str(data), "--out", str(out)])
+    return cli.main(["pretrain", "--config", DEMO, *arguments, "--data", str(data), "--out", str(out)])
 
 
 def test_every_objective_has_a_name_and_a_recipe():
@@ -69,7 +70,7 @@ def test_recipes_differ_from_the_demos_in_what_they_name_alone():
         words = [word for recipe in recipes for word in ("--config", recipe)]
         return parse_config(PretrainConfig, "pretrain", "", [*words, "--data", "d", "--out", "o"]).content()
 
-    demo, autoencoder = keys("pretrain/demo.yaml"), keys("pretrain/demo.yaml", "pretrain/objectives/autoencoder.yaml")
+    demo, autoencoder = keys(DEMO), keys(DEMO, str(ROOT / "objectives" / "autoencoder.yaml"))
     assert {key for key in demo if demo[key] != autoencoder[key]} == {"objective"}
 
 
@@ -134,7 +135,7 @@ def test_an_objective_that_was_killed_resumes_to_the_same_bits(
     tiny_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     """The key encoder and the similarity of contrastive learning come back as they were."""
-    keys = ["--config", "pretrain/objectives/contrastive.yaml", *SMALL, "--max_minutes", "null"]
+    keys = ["--config", str(ROOT / "objectives" / "contrastive.yaml"), *SMALL, "--max_minutes", "null"]
     assert pretrain(tiny_dataset, tmp_path / "whole", *keys) == 0
     step = PictureModule.training_step
 
