@@ -32,7 +32,7 @@ class Command:
 COMMANDS = {
     "gen-dataset": Command(
         "nerf_rl.datasets.config:GenDatasetConfig",
-        "nerf_rl.datasets.generator:generate_dataset",
+        "nerf_rl.datasets.generation.generator:generate_dataset",
         "render a multi-view dataset (RGB, labels, depth, camera matrices) from a MuJoCo scene",
     ),
     "export": Command(
@@ -42,14 +42,14 @@ COMMANDS = {
         positional="dataset",
     ),
     "merge": Command(
-        "nerf_rl.datasets.merge_config:MergeConfig",
-        "nerf_rl.datasets.merge:merge",
+        "nerf_rl.datasets.upkeep.merge_config:MergeConfig",
+        "nerf_rl.datasets.upkeep.merge:merge",
         "put the parts that gen-dataset --shard I/N rendered together into one dataset",
         positional="parts+",
     ),
     "check": Command(
-        "nerf_rl.datasets.check_config:CheckConfig",
-        "nerf_rl.datasets.check:check",
+        "nerf_rl.datasets.upkeep.check_config:CheckConfig",
+        "nerf_rl.datasets.upkeep.check:check",
         "find every changed, missing or unusable file of a dataset, and render such shards again",
         positional="folder",
     ),
@@ -74,8 +74,8 @@ COMMANDS = {
         "evaluate a trained policy, with video",
     ),
     "tune": Command(
-        "nerf_rl.rl.tuning.config:TuneConfig",
-        "nerf_rl.rl.tuning.tune:tune",
+        "nerf_rl.tuning.config:TuneConfig",
+        "nerf_rl.tuning.tune:tune",
         "search train-rl's keys: whale optimisation, TPE, CMA-ES or random, on many processes and machines",
     ),
     "view": Command(
@@ -85,13 +85,13 @@ COMMANDS = {
         positional="path",
     ),
     "report": Command(
-        "nerf_rl.tools.config:ReportConfig",
-        "nerf_rl.tools.report:write_report",
+        "nerf_rl.report.config:ReportConfig",
+        "nerf_rl.report.report:write_report",
         "gather a dataset, an encoder and an agent into one self-contained HTML page",
     ),
     "doctor": Command(
-        "nerf_rl.tools.config:DoctorConfig",
-        "nerf_rl.tools.doctor:doctor",
+        "nerf_rl.doctor.config:DoctorConfig",
+        "nerf_rl.doctor.doctor:doctor",
         "check that this machine has what is needed (rendering, torch, memory, disk), with a fix for what is not",
     ),
 }
@@ -134,7 +134,9 @@ def parse(name: str, arguments: Sequence[str]) -> Any:
         UserError: an unknown key, a value of the wrong type or out of range, an unreadable recipe.
         SystemExit: after ``--help`` and ``--print_config``.
     """
-    from nerf_rl.arguments import parse_config  # jsonargparse takes longer to import than `nerf-rl --help` may take
+    from nerf_rl.arguments.parsing import (
+        parse_config,  # jsonargparse takes longer to import than `nerf-rl --help` may take
+    )
 
     command = COMMANDS[name]
     return parse_config(_load(command.config), f"nerf-rl {name}", command.help, arguments, command.positional)

@@ -8,7 +8,8 @@ import pytest
 from tiny_recipes import TINY_DATASET, TINY_PRETRAINING, TINY_TRAINING
 
 from nerf_rl import cli  # before any test file imports mujoco, which reads the OpenGL backend's name once
-from nerf_rl.datasets.scenes import Scene, make_scene
+from nerf_rl.scenes.base import Scene
+from nerf_rl.scenes.make import make_scene
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # started in the background: what tests start would ignore Ctrl-C
     signal.signal(signal.SIGINT, signal.default_int_handler)

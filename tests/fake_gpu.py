@@ -12,23 +12,23 @@ import numpy as np
 import torch
 from torch._subclasses.fake_tensor import FakeTensor, FakeTensorMode
 
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.datasets.scenes import make_scene
-from nerf_rl.pretrain.artefact import read_description
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import EncoderConfig
-from nerf_rl.pretrain.encoder import Encoder
-from nerf_rl.pretrain.encoder_rig import EncoderRig
-from nerf_rl.pretrain.linear_probe import encode_frames
-from nerf_rl.rl.checkpoint import agent_tensors
+from nerf_rl.pretrain.measures.linear_probe import encode_frames
+from nerf_rl.pretrain.model.artefact import read_description
+from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.pretrain.model.encoder_rig import EncoderRig
+from nerf_rl.rl.agents.ddpg import DDPG
+from nerf_rl.rl.agents.networks import LayeredConfig
+from nerf_rl.rl.agents.policy import Policy, make_actor
 from nerf_rl.rl.config import LearnerConfig, NetworkConfig
-from nerf_rl.rl.ddpg import DDPG
-from nerf_rl.rl.envs import EnvSpec
-from nerf_rl.rl.networks import LayeredConfig
-from nerf_rl.rl.observation import LatentObservation
-from nerf_rl.rl.policy import Policy, make_actor
-from nerf_rl.rl.replay import Batch, Replay
-from nerf_rl.viewer.action_values import ActionValues
-from nerf_rl.viewer.progressive import FreeCamera
+from nerf_rl.rl.environments.make import EnvSpec
+from nerf_rl.rl.environments.observation import LatentObservation
+from nerf_rl.rl.experience.replay import Batch, Replay
+from nerf_rl.rl.training.checkpoint import agent_tensors
+from nerf_rl.scenes.make import make_scene
+from nerf_rl.viewer.field.progressive import FreeCamera
+from nerf_rl.viewer.pages.action_values import ActionValues
 
 GPU = torch.device("cuda", 0)
 
@@ -68,7 +68,7 @@ def learner(normalisation: str, actor_batch: str) -> None:
     torch.Tensor.backward = backward
     memory = Memory()
     for _ in range(2):
-        agent.see(np.zeros((2, 3), np.float32))
+        agent.update_statistics(np.zeros((2, 3), np.float32))
         assert agent.act(np.zeros((2, 3), np.float32)).shape == (2, 2)
         agent.update(memory, beta=0.5)
     assert {device.type for device in memory.updated} == {"cpu"}

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from nerf_rl.datasets.point_cloud import unproject
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.pretrain.anchors import Middles, choose_anchors, visible_middles
-from nerf_rl.pretrain.batches import RayBatches
+from nerf_rl.datasets.storage.point_cloud import unproject
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import PretrainConfig
-from nerf_rl.pretrain.data_module import MultiViewDataModule
-from nerf_rl.pretrain.module import SnerlModule
-from nerf_rl.pretrain.statistics import measure
+from nerf_rl.pretrain.data.anchors import Middles, choose_anchors, visible_middles
+from nerf_rl.pretrain.data.batches import RayBatches
+from nerf_rl.pretrain.data.data_module import MultiViewDataModule
+from nerf_rl.pretrain.data.statistics import measure
+from nerf_rl.pretrain.objectives.snerl_module import SnerlModule
 
 
 @pytest.fixture

@@ -4,12 +4,12 @@ import gymnasium
 import numpy as np
 import pytest
 
-from nerf_rl.datasets.behaviours import Behaviour, Moment
+from nerf_rl.cameras.rig_config import CameraConfig
 from nerf_rl.datasets.config import BehaviourConfig
-from nerf_rl.datasets.rig_config import CameraConfig
-from nerf_rl.datasets.scenes import Policy, Scene
-from nerf_rl.datasets.workspace import Workspace
+from nerf_rl.datasets.generation.behaviours import Behaviour, EpisodeStep
 from nerf_rl.errors import UserError
+from nerf_rl.scenes.base import Policy, Scene
+from nerf_rl.scenes.workspace import Workspace
 
 RANDOM, SCRIPTED, NOISY = (BehaviourConfig(*weights, noise=0.3) for weights in np.eye(3).tolist())
 
@@ -66,7 +66,7 @@ class Unscripted(ToyScene):
         return None
 
 
-def act(behaviour: BehaviourConfig, steps: int = 40, seed: int = 0) -> list[Moment]:
+def act(behaviour: BehaviourConfig, steps: int = 40, seed: int = 0) -> list[EpisodeStep]:
     return list(Behaviour(ToyScene(), behaviour, steps).act(0, np.random.default_rng(seed)))
 
 

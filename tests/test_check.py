@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from nerf_rl import cli
-from nerf_rl.datasets.output_record import OutputRecord
-from nerf_rl.datasets.sealed_json import write_sealed
-from nerf_rl.datasets.shards import MANIFEST, SHARDS, read_manifest, sha256_of
-from nerf_rl.runs import read_json
+from nerf_rl.datasets.generation.output_record import OutputRecord
+from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS, read_manifest, sha256_of
+from nerf_rl.files.checksummed_json import write_checksummed
+from nerf_rl.files.json_files import read_json
 
 FIRST, SECOND = f"{SHARDS}/000000.h5", f"{SHARDS}/000001.h5"
 Checked = Callable[..., tuple[int, str, str]]
@@ -48,7 +48,7 @@ def change_and_sign(folder: Path, change: Callable[[h5py.File], None]) -> None:
         change(file)
     manifest = read_manifest(folder)
     manifest["shards"][1]["sha256"] = sha256_of(folder / SECOND)
-    write_sealed(folder / MANIFEST, manifest)
+    write_checksummed(folder / MANIFEST, manifest)
 
 
 def test_a_whole_dataset_is_told_as_such_and_left_alone(folder: Path, tiny_dataset: Path, check: Checked):
@@ -106,7 +106,7 @@ def test_a_frame_is_named_by_episode_and_step(folder: Path, check: Checked):
 def test_a_wrong_number_of_frames_is_found(folder: Path, check: Checked):
     manifest = read_manifest(folder)
     manifest["shards"][0]["frames"] += 1
-    write_sealed(folder / MANIFEST, manifest)
+    write_checksummed(folder / MANIFEST, manifest)
     _, shown, message = check()
     assert f"is damaged: {MANIFEST}, {FIRST}; " in message
     assert "it has 6 frames instead of 7" in shown and "it counts other than 12 frames" in shown
@@ -133,7 +133,7 @@ def test_repairing_brings_the_same_bytes_back_and_says_what_it_cannot_mend(
 def test_a_shard_that_comes_out_otherwise_is_left_as_it_was(folder: Path, check: Checked):
     manifest = read_manifest(folder)
     manifest["renderer"], manifest["shards"][1]["sha256"] = "another card", "0" * 64
-    write_sealed(folder / MANIFEST, manifest)
+    write_checksummed(folder / MANIFEST, manifest)
     before = (folder / SECOND).read_bytes()
     code, _, message = check("--repair", "true", "--workers", "1")
     assert code == 1 and f"{SECOND} came out otherwise than recorded and was left as it was: here " in message

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from nerf_rl import cli
-from nerf_rl.datasets.output_record import OutputRecord
-from nerf_rl.datasets.shards import MANIFEST, SHARDS, partial_files
+from nerf_rl.datasets.generation.output_record import OutputRecord
+from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS, partial_files
 from nerf_rl.errors import OutputExistsError
 
 SMALL_DISK = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c"]
@@ -20,13 +20,13 @@ FILLS_THE_DISK = """
 import sys
 from pathlib import Path
 import numpy as np
-from nerf_rl.datasets.disk import disk_full_told
-from nerf_rl.datasets.shards import ShardWriter
+from nerf_rl.datasets.storage.disk import explain_full_disk
+from nerf_rl.datasets.storage.shards import ShardWriter
 from nerf_rl.errors import FailureError
 
 folder = Path(sys.argv[1])
 try:
-    with disk_full_told(folder, lambda: 12_345_678):
+    with explain_full_disk(folder, lambda: 12_345_678):
         for number in range(3):
             with ShardWriter(folder / f"{number}.h5", 1, {"rgb": ((100_000,), "u1")}, {}) as writer:
                 writer.append({"rgb": np.ones((1, 100_000), np.uint8)})

@@ -4,10 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from nerf_rl import cameras
-from nerf_rl.datasets.culling import FrustumCulling
-from nerf_rl.datasets.renderer import MultiViewRenderer
-from nerf_rl.datasets.scenes import Scene
+from nerf_rl.cameras.geometry import geometry as cameras
+from nerf_rl.rendering.culling import FrustumCulling
+from nerf_rl.rendering.renderer import MultiViewRenderer
+from nerf_rl.scenes.base import Scene
 
 SIZE = 64
 
@@ -60,7 +60,9 @@ def test_pictures_are_those_of_drawing_everything(drawer_open: Scene, monkeypatc
         left_out += int(FrustumCulling(drawer_open.model, SIZE, SIZE, 0.01).outside(data, intrinsics, poses).sum())
         with monkeypatch.context() as patch:
             patch.setattr(FrustumCulling, "outside", draw_everything)
-            patch.setattr("nerf_rl.datasets.renderer._shown", lambda labels, geoms: np.ones((len(labels), geoms), bool))
+            patch.setattr(
+                "nerf_rl.rendering.renderer._shown", lambda labels, geoms: np.ones((len(labels), geoms), bool)
+            )
             everything = renderer.render(data, intrinsics, poses)
         for mine, whole in zip(culled, everything, strict=True):
             np.testing.assert_array_equal(mine, whole)

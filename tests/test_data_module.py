@@ -10,10 +10,10 @@ import pytest
 import torch
 from torch.utils.data import Dataset
 
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.pretrain.batches import RayBatches
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import PretrainConfig
-from nerf_rl.pretrain.data_module import NO_FRAME, BatchesAhead, EpochSteps, MultiViewDataModule
+from nerf_rl.pretrain.data.batches import RayBatches
+from nerf_rl.pretrain.data.data_module import NO_FRAME, BatchesAhead, EpochSteps, MultiViewDataModule
 
 
 @pytest.fixture

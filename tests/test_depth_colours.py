@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from nerf_rl import cli
-from nerf_rl.datasets.frames import read_frame
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.datasets.scenes import make_scene
-from nerf_rl.images import colour_depth, surface_limits
-from nerf_rl.tools.contact_sheet import contact_sheet
-from nerf_rl.viewer.pictures import camera_strip, depth_limits
-from nerf_rl.viewer.scene_panel import ScenePanel
+from nerf_rl.datasets.storage.frames import read_frame
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.pictures.images import colour_depth, surface_limits
+from nerf_rl.report.contact_sheet import contact_sheet
+from nerf_rl.scenes.make import make_scene
+from nerf_rl.viewer.drawing.pictures import camera_strip, depth_limits
+from nerf_rl.viewer.panels.scene_panel import ScenePanel
 from nerf_rl.viewer.server import serve
 
 _SCALE = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS)[:, 0, ::-1].astype(int)

@@ -10,7 +10,10 @@ import pytest
 from packaging.requirements import Requirement
 
 from nerf_rl import cli
-from nerf_rl.tools import doctor, doctor_extras, doctor_probes, doctor_trial
+from nerf_rl.doctor import doctor
+from nerf_rl.doctor import optional_packages as doctor_extras
+from nerf_rl.doctor import probes as doctor_probes
+from nerf_rl.doctor import trial as doctor_trial
 
 
 def test_a_machine_that_passes_the_tests_is_well(

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from nerf_rl import cameras
+from nerf_rl.cameras.geometry import geometry as cameras
 from nerf_rl.errors import MissingFileError
-from nerf_rl.pretrain.artefact import DESCRIPTION, WEIGHTS
 from nerf_rl.pretrain.config import EncoderConfig
-from nerf_rl.pretrain.encoder import Encoder
-from nerf_rl.pretrain.encoder_rig import EncoderRig
+from nerf_rl.pretrain.model.artefact import DESCRIPTION, WEIGHTS
+from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 
 NAMES = ("left", "right", "top")
 

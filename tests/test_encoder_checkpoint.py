@@ -13,13 +13,13 @@ import torch
 from safetensors.torch import load_file
 
 from nerf_rl import cli
-from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import MissingFileError
-from nerf_rl.pretrain.artefact import DESCRIPTION, WEIGHTS, read_description
-from nerf_rl.pretrain.encoder import Encoder
-from nerf_rl.pretrain.field import RadianceField
-from nerf_rl.pretrain.module import SnerlModule
-from nerf_rl.tensor_files import write_tensors
+from nerf_rl.files.tensor_files import write_tensors
+from nerf_rl.pretrain.model.artefact import DESCRIPTION, WEIGHTS, read_description
+from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.pretrain.model.field import RadianceField
+from nerf_rl.pretrain.objectives.snerl_module import SnerlModule
 
 LAST = Path("checkpoints") / "last.ckpt"
 

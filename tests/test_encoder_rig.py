@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nerf_rl import cameras
-from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.cameras.geometry import geometry as cameras
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import RigMismatchError, UserError
-from nerf_rl.pretrain.encoder_rig import EncoderRig
+from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 
 
 def make_rig() -> EncoderRig:

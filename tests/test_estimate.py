@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from nerf_rl import cli, gl
-from nerf_rl.datasets.disk import readable
-from nerf_rl.datasets.shards import SHARDS
+from nerf_rl import cli
+from nerf_rl.datasets.storage.disk import readable
+from nerf_rl.datasets.storage.shards import SHARDS
+from nerf_rl.machine import gl
 
 
 def test_an_estimate_tells_frames_bytes_and_minutes_and_writes_nothing(

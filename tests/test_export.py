@@ -10,8 +10,8 @@ import pytest
 import trimesh
 
 from nerf_rl import cli
-from nerf_rl.cameras import camera_position, pixel_centres, pixel_directions
-from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.cameras.geometry import camera_position, pixel_centres, pixel_directions
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import UserError
 
 has_open3d = importlib.util.find_spec("open3d") is not None

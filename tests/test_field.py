@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from nerf_rl.pretrain.config import FieldConfig
-from nerf_rl.pretrain.field import FieldBounds, RadianceField, contract
-from nerf_rl.pretrain.volume_rendering import composite
+from nerf_rl.pretrain.model.field import FieldBounds, RadianceField, contract
+from nerf_rl.pretrain.model.volume_rendering import composite
 
 BOUNDS = FieldBounds(0.4, 2.0, (0.1, 0.6, 0.2), 0.5)
 

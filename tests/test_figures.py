@@ -1,6 +1,6 @@
 """What validation says of classes that the field does not show."""
 
-from nerf_rl.pretrain.figures import describe_hardly_shown, hardly_shown
+from nerf_rl.pretrain.measures.figures import describe_hardly_shown, hardly_shown
 
 
 def test_a_visible_class_of_low_iou_is_named_and_others_are_not():

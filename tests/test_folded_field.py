@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from nerf_rl.pretrain.config import FieldConfig
-from nerf_rl.pretrain.field import FieldBounds, RadianceField
-from nerf_rl.pretrain.folded_field import FoldedField
+from nerf_rl.pretrain.model.conditioned_field import ConditionedField
+from nerf_rl.pretrain.model.field import FieldBounds, RadianceField
 
 
 @pytest.mark.parametrize("anchors", [0, 3])
@@ -18,7 +18,7 @@ def test_folding_changes_no_density_and_no_feature(anchors: int, free_frames: in
     field.sharpen(0.6)
     latent = torch.randn(6)
     points = torch.tensor(bounds.centre) + 2.0 * torch.randn(500, 3)
-    density, features = FoldedField(field, latent)(points)
+    density, features = ConditionedField(field, latent)(points)
     true_density, true_features = field(points[None], latent[None])
     torch.testing.assert_close(density, true_density[0], rtol=1e-4, atol=1e-5)
     torch.testing.assert_close(features, true_features[0], rtol=1e-4, atol=1e-4)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nerf_rl.datasets.frame_checks import array_faults, view_faults
+from nerf_rl.datasets.storage.frame_checks import array_faults, view_faults
 
 SIZE = 5
 

@@ -12,11 +12,11 @@ import pytest
 
 from nerf_rl import cli
 from nerf_rl.datasets.config import GenDatasetConfig
-from nerf_rl.datasets.output_record import OutputRecord
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.datasets.shard_rendering import open_studio, validation_episodes
-from nerf_rl.datasets.shards import MANIFEST, SHARDS, sha256_of
-from nerf_rl.runs import PROVENANCE
+from nerf_rl.datasets.generation.output_record import OutputRecord
+from nerf_rl.datasets.generation.shard_rendering import open_render_context, validation_episodes
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS, sha256_of
+from nerf_rl.files.runs import PROVENANCE
 
 EPISODES, FRAMES_PER_EPISODE, STEPS, SIZE, VIEWS = 4, 3, 12, 24, 4
 
@@ -242,16 +242,16 @@ def test_named_columns_hold_what_their_names_say(tiny_dataset: Path):
 def test_the_stored_state_renders_to_the_stored_images(tiny_dataset: Path, tiny_recipe: Path):
     dataset = MultiViewDataset(tiny_dataset)
     config = cli.parse("gen-dataset", ["--config", str(tiny_recipe), "--out", "unused"])
-    studio = open_studio(config)
-    model, data = studio.scene.model, studio.scene.data
-    studio.scene.env.reset(seed=99)
+    context = open_render_context(config)
+    model, data = context.scene.model, context.scene.data
+    context.scene.env.reset(seed=99)
     for frame in range(len(dataset)):
         state = {name: dataset.read(f"state/{name}", [frame])[0] for name in ("body_pos", "body_quat", "qpos", "qvel")}
         model.body_pos[:], model.body_quat[:] = state["body_pos"], state["body_quat"]
         data.qpos[:], data.qvel[:] = state["qpos"], state["qvel"]
         mujoco.mj_forward(model, data)
-        views = studio.renderer.render(data, dataset.cameras([frame])[0], dataset.cameras([frame])[1][0])
+        views = context.renderer.render(data, dataset.cameras([frame])[0], dataset.cameras([frame])[1][0])
         np.testing.assert_array_equal(views.rgb, dataset.read("rgb", [frame])[0])
         np.testing.assert_array_equal(views.depth, dataset.read("depth", [frame])[0])
-        np.testing.assert_array_equal(studio.classes.label(views.geom), dataset.read("semantic", [frame])[0])
-    studio.renderer.close()
+        np.testing.assert_array_equal(context.classes.label(views.geom), dataset.read("semantic", [frame])[0])
+    context.renderer.close()

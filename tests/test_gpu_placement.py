@@ -7,15 +7,15 @@ import pytest
 import torch
 from torch._subclasses.fake_tensor import FakeTensorMode
 
-from nerf_rl.cameras import intrinsics_from_fovy, look_at
-from nerf_rl.pretrain.batches import RayBatch
+from nerf_rl.cameras.geometry import intrinsics_from_fovy, look_at
 from nerf_rl.pretrain.config import EncoderConfig, FieldConfig, LossConfig, SamplingConfig
-from nerf_rl.pretrain.encoder import Encoder
-from nerf_rl.pretrain.encoder_rig import EncoderRig
-from nerf_rl.pretrain.field import FieldBounds, RadianceField
-from nerf_rl.pretrain.folded_field import FoldedField
-from nerf_rl.pretrain.losses import losses, weighted_sum
-from nerf_rl.pretrain.rendering import SampleNoise, render_with_depth, render_without_depth
+from nerf_rl.pretrain.data.batches import RayBatch
+from nerf_rl.pretrain.model.conditioned_field import ConditionedField
+from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.pretrain.model.encoder_rig import EncoderRig
+from nerf_rl.pretrain.model.field import FieldBounds, RadianceField
+from nerf_rl.pretrain.model.ray_rendering import SampleNoise, render_depth_guided, render_without_depth
+from nerf_rl.pretrain.objectives.losses import losses, weighted_sum
 
 SCENES, RAYS, VIEWS, SIZE, CLASSES = 2, 5, 2, 16, 3
 SAMPLING = SamplingConfig(rendering_stratified=6, rendering_importance=4)
@@ -65,7 +65,7 @@ def test_a_training_step_stays_on_the_gpu():
     shape = (SCENES, RAYS)
     noise = SampleNoise(torch.rand(*shape, 4), torch.rand(*shape, 3), torch.randn(*shape, 3))
     latent = encoder(batch.images, batch.projections)
-    rendered = render_with_depth(field, latent, batch.origins, batch.directions, batch.depth, SAMPLING, noise)
+    rendered = render_depth_guided(field, latent, batch.origins, batch.directions, batch.depth, SAMPLING, noise)
     named = losses(rendered, batch, field.origins(latent)[:, :1], torch.rand(1))
     values = [*named.values(), weighted_sum(named, LossConfig()), rendered.depth, *rendered.values.values()]
     assert {value.device for value in values} == {CUDA}
@@ -90,7 +90,7 @@ def test_rays_without_depth_and_latents_stay_on_the_gpu():
 def test_a_folded_field_stays_on_the_gpu(frames: int):
     field = make_field(frames, 0)
     field.place_anchors(torch.rand(0, 3))
-    folded = FoldedField(field, torch.rand(8))
+    folded = ConditionedField(field, torch.rand(8))
     density, features = folded(torch.rand(7, 3))
     assert density.device == features.device == CUDA
 

@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 
 from nerf_rl import cli
-from nerf_rl.datasets.frames import read_frame
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.datasets.sealed_json import sealed
-from nerf_rl.datasets.shards import MANIFEST, SHARDS
+from nerf_rl.datasets.storage.frames import read_frame
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS
 from nerf_rl.errors import UserError
-from nerf_rl.pretrain.encoder_rig import EncoderRig
-from nerf_rl.runs import json_text
+from nerf_rl.files.json_files import json_text
+from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 
 SECOND = f"{SHARDS}/000001.h5"
 Repack = Callable[[h5py.File], None]
@@ -125,7 +124,7 @@ EDITS = [
 @pytest.mark.parametrize("change, fault", EDITS)
 def test_a_manifest_of_another_structure_is_refused_even_if_signed(folder: Path, change: Callable, fault: str):
     manifest = change(json.loads((folder / MANIFEST).read_text()))
-    (folder / MANIFEST).write_text(json_text(sealed(manifest) if isinstance(manifest, dict) else manifest))
+    (folder / MANIFEST).write_text(json_text(with_checksum(manifest) if isinstance(manifest, dict) else manifest))
     with pytest.raises(UserError) as refusal:
         MultiViewDataset(folder)
     assert f"({fault}" in str(refusal.value) and "manifest.json is damaged" in str(refusal.value)
@@ -134,7 +133,7 @@ def test_a_manifest_of_another_structure_is_refused_even_if_signed(folder: Path,
 def test_more_frames_than_a_shard_can_hold_are_not_believed(folder: Path):
     manifest = json.loads((folder / MANIFEST).read_text())
     manifest["shards"][1]["frames"] = 10**9
-    (folder / MANIFEST).write_text(json_text(sealed(manifest)))
+    (folder / MANIFEST).write_text(json_text(with_checksum(manifest)))
     with pytest.raises(UserError, match=r"000001\.h5 is too short for the 1000000000 frames that the manifest counts"):
         MultiViewDataset(folder)
 

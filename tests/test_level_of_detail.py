@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from nerf_rl.datasets.level_of_detail import corner_normals, simplify_meshes
+from nerf_rl.rendering.level_of_detail import corner_normals, simplify_meshes
 
 MESH_ARRAYS = ("mesh_vert", "mesh_face", "mesh_normal", "mesh_facenormal")
 MESH_COUNTS = ("mesh_vertnum", "mesh_facenum", "mesh_normalnum")

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import UserError
-from nerf_rl.pretrain.encoder import Encoder
-from nerf_rl.pretrain.linear_probe import encode_frames, linear_probe, probe_encoder
+from nerf_rl.pretrain.measures.linear_probe import encode_frames, linear_probe, probe_encoder
+from nerf_rl.pretrain.model.encoder import Encoder
 
 RIDGE = 1e-3
 
@@ -73,7 +73,7 @@ def test_figures_are_those_of_the_held_out_frames_in_columns_that_vary(tiny_data
 
 def test_latents_are_those_of_single_frames(tiny_dataset: Path, tiny_encoder: Path, monkeypatch: pytest.MonkeyPatch):
     dataset, encoder = MultiViewDataset(tiny_dataset), Encoder.load(tiny_encoder)
-    monkeypatch.setattr("nerf_rl.pretrain.linear_probe._FRAMES_AT_ONCE", 3)
+    monkeypatch.setattr("nerf_rl.pretrain.measures.linear_probe._FRAMES_AT_ONCE", 3)
     frames = np.array([7, 0, 2, 7])
     latents = encode_frames(encoder, dataset, frames)
     for row, frame in zip(latents, frames.tolist(), strict=True):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from nerf_rl.pretrain.batches import RayBatch
 from nerf_rl.pretrain.config import LossConfig
-from nerf_rl.pretrain.losses import losses, weighted_sum
-from nerf_rl.pretrain.rendering import RenderedRays
+from nerf_rl.pretrain.data.batches import RayBatch
+from nerf_rl.pretrain.model.ray_rendering import RenderedRays
+from nerf_rl.pretrain.objectives.losses import losses, weighted_sum
 
 B, R, S, C, F, A = 2, 3, 4, 5, 4, 2
 

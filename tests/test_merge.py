@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from nerf_rl import cli
-from nerf_rl.datasets.sealed_json import write_sealed
-from nerf_rl.datasets.shards import MANIFEST, PARTS, SHARDS
-from nerf_rl.runs import read_json
+from nerf_rl.datasets.storage.shards import MANIFEST, PARTS, SHARDS
+from nerf_rl.files.checksummed_json import write_checksummed
+from nerf_rl.files.json_files import read_json
 
 
 def render(recipe: Path, out: Path, shard: str, *arguments: str) -> int:
@@ -110,7 +110,7 @@ def test_what_is_missing_unfinished_damaged_or_of_another_dataset_is_told(
     record = second / PARTS / "2-of-2"
     manifest = read_json(record / MANIFEST)
     manifest["packages"]["mujoco"] = "2.0"
-    write_sealed(record / MANIFEST, manifest)
+    write_checksummed(record / MANIFEST, manifest)
     assert "different datasets; they differ in packages: {'mujoco': '3." in message_of(*both, "--resume", "true")
     (record / MANIFEST).write_text((record / MANIFEST).read_text().replace("2.0", "2.1"))
     assert "is damaged; write it again with gen-dataset --shard 2/2 --resume true" in message_of(*both)

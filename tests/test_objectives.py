@@ -8,17 +8,17 @@ import pytest
 import torch
 
 from nerf_rl import cli
-from nerf_rl.arguments import parse_config
-from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.arguments.parsing import parse_config
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain import config as names
-from nerf_rl.pretrain.batches import RayBatches
 from nerf_rl.pretrain.config import EncoderConfig, PretrainConfig
-from nerf_rl.pretrain.encoder import Encoder
-from nerf_rl.pretrain.encoder_rig import EncoderRig
-from nerf_rl.pretrain.objectives import OBJECTIVES, MaskedAutoencoder, shifted
-from nerf_rl.pretrain.picture_module import PictureModule
-from nerf_rl.pretrain.statistics import measure
-from nerf_rl.pretrain.view_batches import ViewBatch, ViewBatches
+from nerf_rl.pretrain.data.batches import RayBatches
+from nerf_rl.pretrain.data.statistics import measure
+from nerf_rl.pretrain.data.view_batches import ViewBatch, ViewBatches
+from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.pretrain.model.encoder_rig import EncoderRig
+from nerf_rl.pretrain.objectives.picture_module import PictureModule
+from nerf_rl.pretrain.objectives.picture_objectives import OBJECTIVES, MaskedAutoencoder, shifted
 
 ROOT = Path(__file__).parents[1] / "pretrain"
 DEMO, RECIPES = str(ROOT / "demo.yaml"), sorted((ROOT / "objectives").glob("*.yaml"))

@@ -8,10 +8,10 @@ import pytest
 from test_renderer import loaded, random_cameras
 
 from nerf_rl import cli
-from nerf_rl.datasets import offscreen_target
-from nerf_rl.datasets.renderer import MultiViewRenderer
 from nerf_rl.errors import UserError
-from nerf_rl.gl import largest_image
+from nerf_rl.machine.gl import largest_image
+from nerf_rl.rendering import offscreen_target
+from nerf_rl.rendering.renderer import MultiViewRenderer
 
 
 @pytest.fixture

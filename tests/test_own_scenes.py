@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from nerf_rl import cli
-from nerf_rl.cameras import project
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.datasets.scenes import Scene, make_scene, model_digest
+from nerf_rl.cameras.geometry import project
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import UserError
-from nerf_rl.runs import read_json
+from nerf_rl.files.json_files import read_json
+from nerf_rl.scenes.base import Scene, model_digest
+from nerf_rl.scenes.make import make_scene
 
 BLOCKS = "datasets/scenes/blocks.xml"
 SCENES = (BLOCKS, "gym/Ant-v5", "gym/Pusher-v5", "gym/InvertedPendulum-v5")
@@ -45,7 +46,7 @@ def test_looking_at_a_scene_does_not_change_what_happens_in_it(name: str):
         scene.env.reset(seed=5)
     for _ in range(10):
         action = rng.uniform(-0.4, 0.4, looked.env.action_space.shape).astype(np.float32)
-        looked.shown()
+        looked.render_data()
         looked.privileged(None)
         seen = looked.env.step(action)
         unseen = alone.env.step(action)
@@ -61,8 +62,8 @@ def test_what_is_shown_is_the_state_that_is_stored(name: str):
     exact = mujoco.MjData(scene.model)
     exact.qpos[:] = scene.data.qpos
     mujoco.mj_forward(scene.model, exact)
-    np.testing.assert_allclose(scene.shown().geom_xpos, exact.geom_xpos, atol=1e-12)
-    np.testing.assert_allclose(scene.shown().geom_xmat, exact.geom_xmat, atol=1e-12)
+    np.testing.assert_allclose(scene.render_data().geom_xpos, exact.geom_xpos, atol=1e-12)
+    np.testing.assert_allclose(scene.render_data().geom_xmat, exact.geom_xmat, atol=1e-12)
 
 
 def test_columns_are_named_after_joints_and_bodies_and_hold_their_values():

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from nerf_rl import cli
-from nerf_rl.pretrain.encoder import Encoder
-from nerf_rl.pretrain.precision import resolve_precision
+from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.pretrain.model.precision import resolve_precision
 
 CPU, CUDA = torch.device("cpu"), torch.device("cuda", 0)
 RECIPES = Path(__file__).parents[1] / "pretrain"

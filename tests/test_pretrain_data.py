@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 import torch
 
-from nerf_rl import cameras
-from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.cameras.geometry import geometry as cameras
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import UserError
-from nerf_rl.pretrain.batches import RayBatch, RayBatches
 from nerf_rl.pretrain.config import PretrainConfig, SamplingConfig
-from nerf_rl.pretrain.data_module import MultiViewDataModule
-from nerf_rl.pretrain.statistics import measure
-from nerf_rl.pretrain.teachers import teacher_features
+from nerf_rl.pretrain.data.batches import RayBatch, RayBatches
+from nerf_rl.pretrain.data.data_module import MultiViewDataModule
+from nerf_rl.pretrain.data.statistics import measure
+from nerf_rl.pretrain.data.teachers import teacher_features
 
 VIEW_NAMES = ("top", "left", "right", "random_0")  # the first is a test camera, the last one supervises only
 

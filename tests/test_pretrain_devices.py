@@ -16,8 +16,8 @@ import torch
 from nerf_rl import cli
 from nerf_rl.errors import UserError
 from nerf_rl.pretrain.config import PretrainConfig
-from nerf_rl.pretrain.launch import rank_from_outside, run_on_each_device
-from nerf_rl.pretrain.placement import choose_accelerator, thread_count
+from nerf_rl.pretrain.execution.launch import rank_from_outside, run_on_each_device
+from nerf_rl.pretrain.execution.placement import choose_accelerator, thread_count
 
 STEPS = 20
 SHARED = ["--steps", str(STEPS), "--steps_per_epoch", "8", "--scenes_per_step", "4", "--validation_frames", "3"]

@@ -8,13 +8,13 @@ import pytest
 import torch
 
 from nerf_rl import cli
-from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import UserError
-from nerf_rl.pretrain.batches import RayBatches, drawn_frames
 from nerf_rl.pretrain.config import PretrainConfig
-from nerf_rl.pretrain.faults import is_out_of_memory
-from nerf_rl.pretrain.module import SnerlModule
-from nerf_rl.pretrain.statistics import measure
+from nerf_rl.pretrain.data.batches import RayBatches, drawn_frames
+from nerf_rl.pretrain.data.statistics import measure
+from nerf_rl.pretrain.execution.faults import is_out_of_memory
+from nerf_rl.pretrain.objectives.snerl_module import SnerlModule
 from nerf_rl.pretrain.stopping import Goal, parse_goal
 
 

@@ -15,15 +15,15 @@ import pytest
 import torch
 
 from nerf_rl import cli
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.pretrain.batches import RayBatches
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import PretrainConfig
-from nerf_rl.pretrain.encoder import DESCRIPTION, WEIGHTS, Encoder
-from nerf_rl.pretrain.encoder_rig import EncoderRig
-from nerf_rl.pretrain.field import RadianceField
-from nerf_rl.pretrain.figures import describe_iou
-from nerf_rl.pretrain.module import SnerlModule
-from nerf_rl.pretrain.statistics import measure
+from nerf_rl.pretrain.data.batches import RayBatches
+from nerf_rl.pretrain.data.statistics import measure
+from nerf_rl.pretrain.measures.figures import describe_iou
+from nerf_rl.pretrain.model.encoder import DESCRIPTION, WEIGHTS, Encoder
+from nerf_rl.pretrain.model.encoder_rig import EncoderRig
+from nerf_rl.pretrain.model.field import RadianceField
+from nerf_rl.pretrain.objectives.snerl_module import SnerlModule
 
 STEPS = 6
 

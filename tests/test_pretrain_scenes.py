@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from nerf_rl import cli
-from nerf_rl.pretrain.encoder import Encoder
+from nerf_rl.pretrain.model.encoder import Encoder
 
 ROOT = Path(__file__).parents[1]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from nerf_rl import cli
-from nerf_rl.datasets.sealed_json import write_sealed
+from nerf_rl.files.checksummed_json import write_checksummed
 
 
 def test_the_command_prints_a_table_and_writes_a_summary(
@@ -43,7 +43,7 @@ def test_a_dataset_of_another_rig_is_refused_and_nothing_is_written(
     shutil.copytree(tiny_dataset, other)
     manifest = json.loads((other / "manifest.json").read_text())
     manifest["cameras"][2]["name"] = "back"
-    write_sealed(other / "manifest.json", manifest)
+    write_checksummed(other / "manifest.json", manifest)
     out = tmp_path / "probe"
     assert cli.main(["probe", "--encoder", str(tiny_encoder), "--data", str(other), "--out", str(out)]) == 2
     message = capsys.readouterr().err

@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from nerf_rl import cli
-from nerf_rl.datasets.shards import MANIFEST, SHARDS
+from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS
 
 ON_A_CLUSTER = """
 import os, signal, sys, threading, time
 from pathlib import Path
 from ray.cluster_utils import Cluster
-from nerf_rl.datasets.shards import partial_files
+from nerf_rl.datasets.storage.shards import partial_files
 
 def kill_the_first_worker_that_writes():
     while not (found := partial_files(Path(sys.argv[-1]), range(2))):
@@ -59,5 +59,7 @@ def test_a_backend_that_there_is_not_is_answered_with_those_there_are(capsys: py
 
 
 def test_ray_is_imported_by_no_other_path():
-    program = "import sys; import nerf_rl.datasets.generator, nerf_rl.datasets.check, nerf_rl.datasets.merge; "
-    subprocess.run([sys.executable, "-c", program + "sys.exit('ray' in sys.modules)"], check=True)
+    modules = ("generation.generator", "upkeep.check", "upkeep.merge")
+    imports = "; ".join(f"import nerf_rl.datasets.{module}" for module in modules)
+    program = f"import sys; {imports}; sys.exit('ray' in sys.modules)"
+    subprocess.run([sys.executable, "-c", program], check=True)

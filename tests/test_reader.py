@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from torch.utils.data import DataLoader, Dataset
 
-from nerf_rl.datasets import reader
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.datasets.shards import MANIFEST, SCHEMA_VERSION, SHARDS, ShardWriter, frame_layout
+from nerf_rl.datasets.storage import reader
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.shards import MANIFEST, SCHEMA_VERSION, SHARDS, ShardWriter, frame_layout
 from nerf_rl.errors import MissingFileError, UnknownNameError
 
 VIEWS, SIZE = 3, 6

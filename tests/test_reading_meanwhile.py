@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from nerf_rl import cli
-from nerf_rl.datasets.generator import generate_dataset
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.datasets.shards import MANIFEST, UNFINISHED, shard_path
+from nerf_rl.datasets.generation.generator import generate_dataset
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.shards import MANIFEST, UNFINISHED, shard_path
 from nerf_rl.errors import MissingFileError, UserError
 from nerf_rl.viewer.subject import Subject, find_subject
 
@@ -20,7 +20,7 @@ def cut_off(tiny_dataset: Path, tiny_recipe: Path, tmp_path_factory: pytest.Temp
     folder = tmp_path_factory.mktemp("cut off") / "data"
     config = cli.parse("gen-dataset", ["--config", str(tiny_recipe), "--out", str(folder)])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("nerf_rl.datasets.generator.with_shards", stop)
+        patch.setattr("nerf_rl.datasets.generation.generator.with_shards", stop)
         with pytest.raises(KeyboardInterrupt):
             generate_dataset(config)
     shard_path(folder, 1).unlink()

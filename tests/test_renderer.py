@@ -7,11 +7,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from nerf_rl import cameras
-from nerf_rl.datasets.renderer import MultiViewRenderer
-from nerf_rl.datasets.scenes import Scene
-from nerf_rl.datasets.semantics import semantic_classes
+from nerf_rl.cameras.geometry import geometry as cameras
 from nerf_rl.metrics import confusion_matrix, intersection_over_union, psnr_db
+from nerf_rl.rendering.renderer import MultiViewRenderer
+from nerf_rl.rendering.semantics import semantic_classes
+from nerf_rl.scenes.base import Scene
 
 DRAWN_GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)
 

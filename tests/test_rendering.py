@@ -5,11 +5,11 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from nerf_rl import cameras
+from nerf_rl.cameras.geometry import geometry as cameras
 from nerf_rl.errors import UserError
-from nerf_rl.pretrain import rendering
 from nerf_rl.pretrain.config import SamplingConfig
-from nerf_rl.pretrain.field import FieldBounds, RadianceField
+from nerf_rl.pretrain.model import ray_rendering as rendering
+from nerf_rl.pretrain.model.field import FieldBounds, RadianceField
 
 CENTRE, RADIUS = (0.1, -0.15, 0.05), 0.25  # off the optical axis, so that a flipped image would show
 SIZE = 32
@@ -104,7 +104,7 @@ def noise(seed: int) -> rendering.SampleNoise:
 def test_with_known_depth_few_samples_find_the_same_surface():
     origins, directions, depth = rays()
     latent = torch.full((2, 1), RADIUS)
-    rendered = rendering.render_with_depth(SphereField(), latent, origins, directions, depth, SAMPLING, noise(0))
+    rendered = rendering.render_depth_guided(SphereField(), latent, origins, directions, depth, SAMPLING, noise(0))
     assert rendered.depths.shape[-1] == 4 + SAMPLING.training_approach + 16 + 1
     assert (rendered.depths.diff(dim=-1) >= 0).all() and (rendered.depths[..., -1] == 2.0).all()
     torch.testing.assert_close(rendered.weights.sum(-1), torch.ones_like(depth))
@@ -123,7 +123,7 @@ def test_in_training_too_the_surface_is_found_without_known_depth():
     generator = torch.Generator().manual_seed(0)
     drawn = rendering.SampleNoise.draw(sampling, 2, SIZE * SIZE, generator, torch.device("cpu"))
     told = torch.rand(depth.shape, generator=generator)
-    rendered = rendering.render_with_depth(SphereField(), latent, origins, directions, told, sampling, drawn)
+    rendered = rendering.render_depth_guided(SphereField(), latent, origins, directions, told, sampling, drawn)
     assert rendered.depths.shape[-1] == 48 + 32 + 1 and (rendered.depths.diff(dim=-1) >= 0).all()
     hit = depth < 2.0
     near = (rendered.depths - depth[..., None]).abs() < 0.05
@@ -151,7 +151,7 @@ def test_samples_that_are_drawn_depend_on_the_generator_alone_and_divide_by_scen
     def drawn(seed: int, share: slice = slice(None)) -> Tensor:
         torch.rand(3)
         part, own = (origins[share], directions[share], depth[share]), noise(seed).of_scenes(share)
-        return rendering.render_with_depth(SphereField(), latent[share], *part, SAMPLING, own).depths
+        return rendering.render_depth_guided(SphereField(), latent[share], *part, SAMPLING, own).depths
 
     assert torch.equal(drawn(0), drawn(0)) and not torch.equal(drawn(0), drawn(1))
     assert torch.equal(torch.cat([drawn(0, slice(0, 1)), drawn(0, slice(1, 2))]), drawn(0))

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from tiny_recipes import TINY_TRAINING
 
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.rl.rendering_match import rendering_differences
-from nerf_rl.runs import package_versions
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.files.versions import package_versions
+from nerf_rl.rl.environments.encoder_match import rendering_differences
 
 
 def test_the_description_records_what_rendered_the_dataset(tiny_encoder: Path, tiny_dataset: Path):

@@ -11,7 +11,7 @@ import pytest
 from tiny_recipes import TINY_TRAINING
 
 from nerf_rl import cli
-from nerf_rl.datasets.sealed_json import write_sealed
+from nerf_rl.files.checksummed_json import write_checksummed
 
 MODULES = {"ppo": "stable_baselines3", "panda": "panda_gym"}
 KEYS = {
@@ -107,7 +107,7 @@ def test_a_dataset_of_another_scene_is_refused_in_a_sentence(
     shutil.copytree(tiny_dataset, other)
     manifest = json.loads((other / "manifest.json").read_text())
     manifest["scene"]["name"] = "metaworld/door-open-v3"
-    write_sealed(other / "manifest.json", manifest)
+    write_checksummed(other / "manifest.json", manifest)
     page = tmp_path / "page.html"
     assert cli.main(["report", "--agent", str(tiny_agent), "--data", str(other), "--out", str(page)]) == 2
     message = capsys.readouterr().err

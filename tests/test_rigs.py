@@ -4,11 +4,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from nerf_rl.cameras import camera_position, project, projection_matrix
-from nerf_rl.datasets.rig_config import CameraConfig, DomeConfig, RandomCameraConfig, RigConfig, RingConfig
-from nerf_rl.datasets.rigs import Rig, make_rig
-from nerf_rl.datasets.scenes import Scene, make_scene
+from nerf_rl.cameras.geometry import camera_position, project, projection_matrix
+from nerf_rl.cameras.rig_config import CameraConfig, DomeConfig, RandomCameraConfig, RigConfig, RingConfig
 from nerf_rl.errors import UserError
+from nerf_rl.rendering.rigs import Rig, make_rig
+from nerf_rl.scenes.base import Scene
+from nerf_rl.scenes.make import make_scene
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +21,7 @@ def blocks() -> Scene:
 
 
 def poses_of(rig: Rig, scene: Scene, seed: int = 0) -> np.ndarray:
-    return rig.poses(scene.shown(), np.random.default_rng(seed))
+    return rig.poses(scene.render_data(), np.random.default_rng(seed))
 
 
 def named(*names: str) -> list[CameraConfig]:
@@ -49,7 +50,7 @@ def test_fixed_poses_look_at_their_points_from_their_distance_and_stay(blocks: S
     camera = CameraConfig("a", lookat=[0.1, 0.5, 0.2], distance=0.7, azimuth=33.0, elevation=-20.0, fovy=60.0)
     rig = make_rig(RigConfig([camera], random=RandomCameraConfig(1)), 40, blocks)
     rng = np.random.default_rng(0)
-    first, second = rig.poses(blocks.shown(), rng), rig.poses(blocks.shown(), rng)
+    first, second = rig.poses(blocks.render_data(), rng), rig.poses(blocks.render_data(), rng)
     np.testing.assert_array_equal(first[0], second[0])
     assert not np.allclose(first[1], second[1])
     np.testing.assert_allclose(first[0] @ [0.1, 0.5, 0.2, 1.0], [0, 0, 0.7, 1], atol=1e-12)
@@ -66,9 +67,8 @@ def test_random_poses_lie_within_their_ranges_and_fill_them(blocks: Scene):
         azimuth=[10.0, 60.0],
         elevation=[-70.0, -20.0],
     )
-    poses = make_rig(RigConfig(named("a"), random=ranges), 32, blocks).poses(blocks.shown(), np.random.default_rng(0))[
-        1:
-    ]
+    rig = make_rig(RigConfig(named("a"), random=ranges), 32, blocks)
+    poses = rig.poses(blocks.render_data(), np.random.default_rng(0))[1:]
     towards = np.array(ranges.lookat) - camera_position(poses)
     distance = np.linalg.norm(towards, axis=1)
     azimuth = np.rad2deg(np.arctan2(towards[:, 1], towards[:, 0]))
@@ -80,9 +80,8 @@ def test_random_poses_lie_within_their_ranges_and_fill_them(blocks: Scene):
 
 def test_points_that_random_cameras_look_at_lie_in_the_box(blocks: Scene):
     ranges = RandomCameraConfig(100, lookat=[0.0, 0.6, 0.1], lookat_spread=0.1, distance=[0.6, 0.6])
-    poses = make_rig(RigConfig(named("a"), random=ranges), 32, blocks).poses(blocks.shown(), np.random.default_rng(1))[
-        1:
-    ]
+    rig = make_rig(RigConfig(named("a"), random=ranges), 32, blocks)
+    poses = rig.poses(blocks.render_data(), np.random.default_rng(1))[1:]
     offset = camera_position(poses) + 0.6 * poses[:, 2, :3] - np.array(ranges.lookat)
     assert np.abs(offset).max() <= 0.1 + 1e-9 and np.abs(offset).max(0).min() > 0.08
 
@@ -184,7 +183,7 @@ def test_cameras_without_a_place_see_the_whole_workspace(blocks: Scene):
 def test_cameras_of_the_model_are_where_mujoco_has_them(blocks: Scene):
     rig = make_rig(RigConfig([CameraConfig("o", camera="overview"), CameraConfig("w", camera="wrist")]), 32, blocks)
     assert rig.moving
-    data = blocks.shown()
+    data = blocks.render_data()
     poses = rig.poses(data, np.random.default_rng(0))
     for pose, name in zip(poses, ("overview", "wrist"), strict=True):
         camera = data.camera(name)
@@ -206,7 +205,7 @@ def test_a_camera_on_a_body_moves_and_turns_with_it_and_one_that_follows_only_mo
     seen = []
     for angle in (0.0, 0.7):
         blocks.data.joint("yaw").qpos[0] = angle
-        data = blocks.shown()
+        data = blocks.render_data()
         hand = data.body("hand")
         poses = rig.poses(data, np.random.default_rng(0))
         mounted = hand.xpos + hand.xmat.reshape(3, 3) @ [0.2, 0.0, -0.1]
@@ -228,7 +227,7 @@ def test_what_can_leave_is_followed_by_default():
     for seed in range(2):
         ant.env.reset(seed=seed)
         ant.data.qpos[:2] = [3.0 * seed, -2.0]
-        shown = ant.shown()
+        shown = ant.render_data()
         torso = np.tile(shown.body("torso").xpos, (5, 1, 1))
         pixels, depth = project(projection_matrix(rig.intrinsics, poses_of(rig, ant)), torso)
         assert depth.min() > 0 and np.abs(pixels - 16).max() < 12

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from nerf_rl import cli
+from nerf_rl.rl.agents.policy import Policy
 from nerf_rl.rl.config import TrainRLConfig
-from nerf_rl.rl.policy import Policy
 
 pytest.importorskip("stable_baselines3", reason="extra sb3")
 
@@ -50,7 +50,7 @@ def test_the_exported_policy_acts_as_the_model_does(algo: str, normalise: bool, 
     from nerf_rl.rl.baselines.models import layered_config
     from nerf_rl.rl.baselines.train import BaselineTrainer
     from nerf_rl.rl.config import NoiseConfig
-    from nerf_rl.rl.envs import EnvSpec, make_vector_env
+    from nerf_rl.rl.environments.make import EnvSpec, make_vector_env
 
     config = TrainRLConfig(
         str(tmp_path), algo=algo, env_steps=300, warmup_steps=50, envs=1, noise=NoiseConfig(kind="gaussian"),

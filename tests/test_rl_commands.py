@@ -13,15 +13,15 @@ import torch
 from metaworld.env_dict import ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE
 
 from nerf_rl import cli
-from nerf_rl.datasets.scenes import make_scene
 from nerf_rl.errors import FailureError, UserError
-from nerf_rl.pretrain.encoder import Encoder
-from nerf_rl.rl.envs import EnvSpec, make_env
-from nerf_rl.rl.observation import LatentObservation
-from nerf_rl.rl.policy import Policy
+from nerf_rl.pictures.video import write_mp4
+from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.rl.agents.policy import Policy
+from nerf_rl.rl.environments.make import EnvSpec, make_env
+from nerf_rl.rl.environments.observation import LatentObservation
 from nerf_rl.rl.rollout import film, rollout
 from nerf_rl.rl.train import train_rl
-from nerf_rl.rl.video import write_mp4
+from nerf_rl.scenes.make import make_scene
 
 SHORT = ["--env_steps", "120", "--warmup_steps", "40", "--episode_steps", "20", "--learner.batch_size", "8"]
 SHORT += ["--evaluation_every", "80", "--evaluation_episodes", "2", "--final_evaluation_episodes", "3", "--envs", "2"]

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import torch
 
+from nerf_rl.rl.agents.ddpg import DDPG, soft_update
+from nerf_rl.rl.agents.networks import Actor, Critic
+from nerf_rl.rl.agents.normalisation import RunningNorm
 from nerf_rl.rl.config import LearnerConfig, NetworkConfig, ReplayConfig
-from nerf_rl.rl.ddpg import DDPG, soft_update
-from nerf_rl.rl.n_step import Transition
-from nerf_rl.rl.networks import Actor, Critic
-from nerf_rl.rl.normalisation import RunningNorm
-from nerf_rl.rl.replay import Batch, Replay
+from nerf_rl.rl.experience.n_step import Transition
+from nerf_rl.rl.experience.replay import Batch, Replay
 
 
 def agent(observation_size: int = 3, action_size: int = 2, **keys: object) -> DDPG:
@@ -155,7 +155,7 @@ def test_the_actor_finds_the_best_action_of_a_bandit(tmp_path: Path) -> None:
 def test_running_statistics_are_those_of_all_observations_at_once() -> None:
     norm, x = RunningNorm(3), np.random.default_rng(0).normal([1.0, -2.0, 0.0], [3.0, 0.5, 0.0], (50, 3))
     for part in np.split(x, [1, 4, 20]):
-        norm.see(part.astype(np.float32))
+        norm.update_statistics(part.astype(np.float32))
     assert norm.mean.numpy() == pytest.approx(x.mean(0), abs=1e-5)
     assert norm.std.numpy() == pytest.approx([*x.std(0)[:2], 0.01], abs=1e-5)
     standardised = norm(torch.from_numpy(x.astype(np.float32)))

@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from nerf_rl import cli
-from nerf_rl.devices import check_device, check_device_name, resolve_device
 from nerf_rl.errors import UserError
-from nerf_rl.rl.envs import spec_from_json
+from nerf_rl.machine.devices import check_device, check_device_name, resolve_device
+from nerf_rl.rl.environments.make import spec_from_json
 
 GPU = torch.cuda.is_available()
 COMMANDS = {

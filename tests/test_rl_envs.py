@@ -9,8 +9,8 @@ import pytest
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 
 from nerf_rl.errors import UserError
-from nerf_rl.rl.envs import ActionRepeat, EnvSpec, make_env, reset_some
-from nerf_rl.rl.episodes import evaluation_seeds, run_episodes, training_seed
+from nerf_rl.rl.environments.make import ActionRepeat, EnvSpec, make_env, reset_some
+from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes, training_seed
 
 
 class Point(gymnasium.Env):
@@ -46,7 +46,7 @@ def point_env(steps: int = 10, repeat: int = 1, fall: bool = False) -> gymnasium
 
 
 def point_envs(count: int, **keys: Any) -> AsyncVectorEnv:
-    """The tiny environment in worker processes, set up as :func:`nerf_rl.rl.envs.make_vector_env` does it."""
+    """The tiny environment in worker processes, as :func:`nerf_rl.rl.environments.make.make_vector_env` sets it up."""
     make = functools.partial(point_env, **keys)
     return AsyncVectorEnv([make] * count, context="spawn", autoreset_mode=AutoresetMode.DISABLED)
 

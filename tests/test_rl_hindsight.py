@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from nerf_rl.rl.config import PandaReachConfig
-from nerf_rl.rl.hindsight import Hindsight
-from nerf_rl.rl.n_step import NStep, Transition
-from nerf_rl.rl.panda_reach import COLUMNS, REACHED_BELOW, WIDTHS, ReachTask, reach_task
+from nerf_rl.rl.environments.panda_reach import COLUMNS, REACHED_BELOW, WIDTHS, ReachTask, reach_task
+from nerf_rl.rl.experience.hindsight import Hindsight
+from nerf_rl.rl.experience.n_step import NStep, Transition
 
 GAMMA, N = 0.9, 3
 

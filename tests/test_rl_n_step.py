@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nerf_rl.rl.n_step import NStep
+from nerf_rl.rl.experience.n_step import NStep
 
 GAMMA = 0.9
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nerf_rl.rl.config import NoiseConfig
-from nerf_rl.rl.noise import HeldActions, Noise, linear_schedule, pink_noise
+from nerf_rl.rl.experience.noise import HeldActions, Noise, linear_schedule, pink_noise
 
 
 def samples(kind: str, theta: float = 0.15) -> np.ndarray:

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from nerf_rl import cli
+from nerf_rl.rl.agents.policy import Policy
 from nerf_rl.rl.config import PandaReachConfig
-from nerf_rl.rl.envs import EnvSpec, make_env
-from nerf_rl.rl.panda_reach import PANDA_REACH, PandaReach, reach_task
-from nerf_rl.rl.policy import Policy
+from nerf_rl.rl.environments.make import EnvSpec, make_env
+from nerf_rl.rl.environments.panda_reach import PANDA_REACH, PandaReach, reach_task
 from nerf_rl.rl.rollout import film, rollout
 
 panda_gym = pytest.importorskip("panda_gym", reason="extra panda")

@@ -8,8 +8,8 @@ import torch
 
 from nerf_rl.errors import UserError
 from nerf_rl.rl.config import ReplayConfig
-from nerf_rl.rl.n_step import Transition
-from nerf_rl.rl.replay import Replay, check_free_space
+from nerf_rl.rl.experience.n_step import Transition
+from nerf_rl.rl.experience.replay import Replay, check_free_space
 
 
 def filled(folder: Path, count: int = 8, capacity: int = 8, batch_size: int = 4096, **keys: object) -> Replay:
@@ -24,7 +24,7 @@ def transition(i: int) -> Transition:
 
 def test_a_batch_holds_what_was_stored(tmp_path: Path) -> None:
     batch = filled(tmp_path).sample(beta=0.5)
-    i = batch.place.float()
+    i = batch.indices.float()
     assert torch.equal(batch.observation, i[:, None].expand(-1, 3))
     assert torch.equal(batch.action, i[:, None].expand(-1, 2) + 0.25)
     assert torch.equal(batch.reward, i + 0.5)
@@ -40,11 +40,11 @@ def test_draws_follow_the_priorities_and_weights_follow_the_formula(tmp_path: Pa
     batch = replay.sample(beta)
     probability = (error + epsilon) ** alpha
     probability /= probability.sum()
-    frequency = torch.bincount(batch.place, minlength=count) / len(batch.place)
+    frequency = torch.bincount(batch.indices, minlength=count) / len(batch.indices)
     assert torch.allclose(frequency, probability, atol=0.006)
     weight = (count * probability) ** -beta
     assert batch.weight.shape == batch.reward.shape == (100_000,)
-    assert torch.allclose(batch.weight, (weight / weight.max())[batch.place], rtol=1e-4)
+    assert torch.allclose(batch.weight, (weight / weight.max())[batch.indices], rtol=1e-4)
 
 
 def test_weights_at_beta_1_undo_the_priorities(tmp_path: Path) -> None:
@@ -52,7 +52,7 @@ def test_weights_at_beta_1_undo_the_priorities(tmp_path: Path) -> None:
     replay = filled(tmp_path, alpha=1.0, batch_size=200_000)
     replay.update_priority(torch.arange(8), torch.linspace(0.1, 2.0, 8))
     batch = replay.sample(1.0)
-    share = torch.zeros(8).index_add_(0, batch.place, batch.weight) / batch.weight.sum()
+    share = torch.zeros(8).index_add_(0, batch.indices, batch.weight) / batch.weight.sum()
     assert torch.allclose(share, torch.full((8,), 1 / 8), atol=0.01)
 
 
@@ -61,7 +61,7 @@ def test_uniform_replay_has_unit_weights(tmp_path: Path) -> None:
     replay.update_priority(torch.arange(8), torch.arange(8.0))
     batch = replay.sample(0.4)
     assert torch.equal(batch.weight, torch.ones(40_000))
-    assert torch.allclose(torch.bincount(batch.place) / 40_000, torch.tensor(1 / 8), atol=0.01)
+    assert torch.allclose(torch.bincount(batch.indices) / 40_000, torch.tensor(1 / 8), atol=0.01)
 
 
 def test_a_new_transition_has_the_greatest_priority(tmp_path: Path) -> None:
@@ -69,7 +69,7 @@ def test_a_new_transition_has_the_greatest_priority(tmp_path: Path) -> None:
     replay.update_priority(torch.arange(7), torch.full((7,), 1e-4))
     replay.update_priority(torch.tensor([3]), torch.tensor([5.0]))
     replay.add([transition(7)])
-    frequency = torch.bincount(replay.sample(0.5).place, minlength=8) / 4096
+    frequency = torch.bincount(replay.sample(0.5).indices, minlength=8) / 4096
     assert frequency[3] == pytest.approx(0.5, abs=0.05)
     assert frequency[7] == pytest.approx(0.5, abs=0.05)
 

@@ -14,12 +14,12 @@ from test_rl_envs import point_envs
 from test_rl_trainer import config, train
 
 from nerf_rl.errors import UserError
-from nerf_rl.rl.checkpoint import last_checkpoint, load_checkpoint, save_checkpoint
 from nerf_rl.rl.config import ReplayConfig
-from nerf_rl.rl.n_step import Transition
-from nerf_rl.rl.replay import Replay
-from nerf_rl.rl.replay_chunks import load_rows, most_rows, save_rows
-from nerf_rl.rl.trainer import Trainer
+from nerf_rl.rl.experience.n_step import Transition
+from nerf_rl.rl.experience.replay import Replay
+from nerf_rl.rl.experience.replay_chunks import load_rows, most_rows, save_rows
+from nerf_rl.rl.training.checkpoint import last_checkpoint, load_checkpoint, save_checkpoint
+from nerf_rl.rl.training.loop import Trainer
 
 CAPACITY = 10
 FACTS = {  # of a checkpoint that has nothing but memory

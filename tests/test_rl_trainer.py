@@ -9,9 +9,9 @@ from gymnasium.vector import AsyncVectorEnv
 from test_rl_envs import point_envs
 
 from nerf_rl.progress import Progress
-from nerf_rl.rl.checkpoint import last_checkpoint
 from nerf_rl.rl.config import LearnerConfig, NetworkConfig, NoiseConfig, ReplayConfig, TrainRLConfig
-from nerf_rl.rl.trainer import Trainer
+from nerf_rl.rl.training.checkpoint import last_checkpoint
+from nerf_rl.rl.training.loop import Trainer
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from nerf_rl import runs
 from nerf_rl.errors import OutputExistsError
+from nerf_rl.files import runs
 
 
 @dataclasses.dataclass

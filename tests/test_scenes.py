@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from metaworld.env_dict import ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE
 
-from nerf_rl.datasets.renderer import MultiViewRenderer
-from nerf_rl.datasets.rig_config import RigConfig
-from nerf_rl.datasets.rigs import make_rig
-from nerf_rl.datasets.scenes import Scene, make_scene
+from nerf_rl.cameras.rig_config import RigConfig
 from nerf_rl.errors import UserError
+from nerf_rl.rendering.renderer import MultiViewRenderer
+from nerf_rl.rendering.rigs import make_rig
+from nerf_rl.scenes.base import Scene
+from nerf_rl.scenes.make import make_scene
 
 LEAKY = (  # whose own resets let something of the episode before through
     *("box-close-v3", "dial-turn-v3", "disassemble-v3", "door-lock-v3", "door-unlock-v3", "handle-press-side-v3"),
@@ -67,8 +68,8 @@ def test_frames_of_an_episode_are_the_same_whatever_came_before(task: str):
         views = []
         for steps in (0, 5):
             episode(scene, 7, steps)
-            poses = rig.poses(scene.shown(), np.random.default_rng(0))
-            views.append(renderer.render(scene.shown(), rig.intrinsics, poses))
+            poses = rig.poses(scene.render_data(), np.random.default_rng(0))
+            views.append(renderer.render(scene.render_data(), rig.intrinsics, poses))
         renderer.close()
         seen.append(views)
     for mine, theirs in zip(*seen, strict=True):

@@ -4,14 +4,14 @@ from pathlib import Path
 
 import numpy as np
 
-from nerf_rl.datasets.sealed_json import is_whole, sealed, write_sealed
+from nerf_rl.files.checksummed_json import is_whole, write_checksummed
 
 CONTENT = {"name": "drawer", "far": 0.1, "shards": [{"file": "a", "frames": 3}], "none": None}
 
 
 def test_a_sealed_file_is_whole_and_any_other_byte_anywhere_is_found(tmp_path: Path):
     path = tmp_path / "a.json"
-    write_sealed(path, CONTENT)
+    write_checksummed(path, CONTENT)
     text, rng = path.read_bytes(), np.random.default_rng(0)
     assert is_whole(path)
     for place in range(len(text)):
@@ -24,7 +24,7 @@ def test_a_sealed_file_is_whole_and_any_other_byte_anywhere_is_found(tmp_path: P
 def test_a_file_that_is_cut_longer_missing_or_no_mapping_is_not_whole(tmp_path: Path):
     path = tmp_path / "a.json"
     assert not is_whole(path)
-    write_sealed(path, CONTENT)
+    write_checksummed(path, CONTENT)
     text = path.read_bytes()
     for other in (b"", text[:-1], text + b" ", b"[]\n", b"7"):
         path.write_bytes(other)
@@ -32,4 +32,4 @@ def test_a_file_that_is_cut_longer_missing_or_no_mapping_is_not_whole(tmp_path: 
 
 
 def test_sealing_twice_is_sealing_once():
-    assert sealed(sealed(CONTENT)) == sealed(CONTENT) != sealed({**CONTENT, "far": 0.2})
+    assert with_checksum(with_checksum(CONTENT)) == with_checksum(CONTENT) != with_checksum({**CONTENT, "far": 0.2})

@@ -6,12 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from nerf_rl.datasets.body_parts import BodyParts, find_parts, named_parts
-from nerf_rl.datasets.config import ClassConfig
-from nerf_rl.datasets.scenes import Scene
-from nerf_rl.datasets.semantics import geom_path, palette, semantic_classes
-from nerf_rl.datasets.state_columns import StateColumns
 from nerf_rl.errors import UserError
+from nerf_rl.rendering.class_config import ClassConfig
+from nerf_rl.rendering.semantics import geom_path, palette, semantic_classes
+from nerf_rl.scenes.base import Scene
+from nerf_rl.scenes.body_parts import BodyParts, find_parts, named_parts
+from nerf_rl.scenes.state_columns import StateColumns
 
 CABINET = """
 <mujoco>

@@ -8,8 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from nerf_rl.datasets.sealed_json import write_sealed
-from nerf_rl.datasets.shards import (
+from nerf_rl.datasets.storage.shards import (
     MANIFEST,
     PARTS,
     SCHEMA_VERSION,
@@ -20,6 +19,7 @@ from nerf_rl.datasets.shards import (
     sha256_of,
 )
 from nerf_rl.errors import MissingFileError
+from nerf_rl.files.checksummed_json import write_checksummed
 
 LAYOUT = {"rgb": ((2, 4, 4, 3), "u1"), "reward": ((), "<f4")}
 CONSTANT = {"cameras/intrinsics": np.arange(18.0).reshape(2, 3, 3)}
@@ -117,7 +117,7 @@ def test_what_is_recorded_of_a_shard_is_in_the_file_and_keeps_it_reproducible(tm
 
 
 def test_a_manifest_that_does_not_match_its_checksum_is_damaged(tmp_path: Path):
-    write_sealed(tmp_path / MANIFEST, {"schema_version": SCHEMA_VERSION, "frames": 30})
+    write_checksummed(tmp_path / MANIFEST, {"schema_version": SCHEMA_VERSION, "frames": 30})
     assert read_manifest(tmp_path)["frames"] == 30
     text = (tmp_path / MANIFEST).read_text()
     (tmp_path / MANIFEST).write_text(text.replace("30", "31"))

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from nerf_rl import cli
-from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 
 ROOT = Path(__file__).parents[1]
 FEW_FRAMES = ["--episodes", "3", "--frames_per_episode", "2", "--size", "32"]

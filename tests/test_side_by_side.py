@@ -8,12 +8,12 @@ import pytest
 import torch
 
 from nerf_rl import cli
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.pretrain.batches import RayBatches
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import PretrainConfig
-from nerf_rl.pretrain.data_module import MultiViewDataModule
-from nerf_rl.pretrain.module import SnerlModule
-from nerf_rl.pretrain.side_by_side import Shares, equal_shares
+from nerf_rl.pretrain.data.batches import RayBatches
+from nerf_rl.pretrain.data.data_module import MultiViewDataModule
+from nerf_rl.pretrain.execution.side_by_side import Shares, equal_shares
+from nerf_rl.pretrain.objectives.snerl_module import SnerlModule
 
 
 @pytest.fixture

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from nerf_rl import cli
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.datasets.scenes import make_scene
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import UserError
-from nerf_rl.pretrain import statistics
 from nerf_rl.pretrain.config import PretrainConfig
-from nerf_rl.pretrain.statistics import class_change, measure
+from nerf_rl.pretrain.data import statistics
+from nerf_rl.pretrain.data.statistics import class_change, measure
+from nerf_rl.scenes.make import make_scene
 
 CONFIG = PretrainConfig("data", "out")
 

@@ -14,15 +14,16 @@ import yaml
 from tiny_recipes import TINY_TRAINING
 
 from nerf_rl import cli
+from nerf_rl.arguments.stored_keys import require_same_keys, with_defaults
 from nerf_rl.datasets.config import GenDatasetConfig
-from nerf_rl.datasets.shards import MANIFEST, SHARDS
+from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS
 from nerf_rl.errors import UserError
+from nerf_rl.files.json_files import read_json, write_json
+from nerf_rl.files.runs import plain
 from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.rl.config import TrainRLConfig
-from nerf_rl.rl.tuning.config import TuneConfig
-from nerf_rl.rl.tuning.storage import open_storage
-from nerf_rl.runs import plain, read_json, write_json
-from nerf_rl.stored_keys import require_same_keys, with_defaults
+from nerf_rl.tuning.config import TuneConfig
+from nerf_rl.tuning.storage import open_storage
 
 FIRST, SECOND = f"{SHARDS}/000000.h5", f"{SHARDS}/000001.h5"
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from nerf_rl import cli
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.datasets.scenes import make_scene
-from nerf_rl.datasets.stored_states import open_states
+from nerf_rl.datasets.generation.stored_states import open_states
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import UserError
+from nerf_rl.scenes.make import make_scene
 
 BLOCKS = "datasets/scenes/blocks.xml"
 SAME = ("rgb", "depth", "semantic", "state/qpos", "state/proprio", "state/privileged", "state/action", "reward", "step")

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import EncoderConfig
-from nerf_rl.pretrain.encoder import Encoder
-from nerf_rl.pretrain.encoder_rig import EncoderRig
-from nerf_rl.pretrain.linear_probe import encode_frames
-from nerf_rl.pretrain.supervised import train_supervised
+from nerf_rl.pretrain.measures.linear_probe import encode_frames
+from nerf_rl.pretrain.measures.supervised import train_supervised
+from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 
 CONFIG = EncoderConfig(latent=4, channels=[8, 16], hidden=16)  # too few numbers to fit nine frames by chance
 

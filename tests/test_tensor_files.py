@@ -7,8 +7,8 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from nerf_rl import tensor_files
-from nerf_rl.tensor_files import write_tensors
+from nerf_rl.files import tensor_files
+from nerf_rl.files.tensor_files import write_tensors
 
 
 def test_a_failed_write_leaves_the_older_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

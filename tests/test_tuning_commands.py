@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from nerf_rl import cli
-from nerf_rl.rl.tuning.recipe import check_space, start_values, trial_config
-from nerf_rl.rl.tuning.tune import trials_of
+from nerf_rl.tuning.recipe import check_space, start_values, trial_config
+from nerf_rl.tuning.tune import trials_of
 
 ROOT = Path(__file__).parent.parent
 
@@ -138,9 +138,9 @@ def test_a_storage_with_another_search_is_refused_before_anything_is_written(
 ) -> None:
     import optuna
 
-    from nerf_rl.rl.tuning.search import search_of
-    from nerf_rl.rl.tuning.storage import open_storage
-    from nerf_rl.rl.tuning.tune import _content, open_study
+    from nerf_rl.tuning.search import search_of
+    from nerf_rl.tuning.storage import open_storage
+    from nerf_rl.tuning.tune import _content, open_study
 
     journal = str(tmp_path / "shared.journal")
     config = cli.parse("tune", ["--config", recipe, "--out", "x", "--storage", journal])

@@ -11,9 +11,9 @@ from optuna.trial import TrialState
 
 from nerf_rl import cli
 from nerf_rl.rl.config import TrainRLConfig
-from nerf_rl.rl.tuning.objective import TrainingObjective, runs_of
-from nerf_rl.rl.tuning.recipe import distributions
-from nerf_rl.rl.tuning.results import env_steps, trials_table
+from nerf_rl.tuning.objective import TrainingObjective, runs_of
+from nerf_rl.tuning.recipe import distributions
+from nerf_rl.tuning.results import env_steps, trials_table
 
 SPACE = "{learner.gamma: {low: 0.5, high: 1.0}, network.normalisation: {choices: [layer, none]}}"
 

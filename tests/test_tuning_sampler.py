@@ -12,9 +12,9 @@ from optuna.distributions import BaseDistribution, CategoricalDistribution, Floa
 from optuna.trial import FrozenTrial, Trial, TrialState
 
 from nerf_rl.errors import UnknownNameError
-from nerf_rl.rl.tuning.sampler import SLOT, WhaleSampler
-from nerf_rl.rl.tuning.space import decode, encode, width
-from nerf_rl.rl.tuning.storage import open_storage
+from nerf_rl.tuning.sampler import SLOT, WhaleSampler
+from nerf_rl.tuning.space import decode, encode, width
+from nerf_rl.tuning.storage import open_storage
 
 SPACE: dict[str, BaseDistribution] = {
     "rate": FloatDistribution(1e-5, 1e-1, log=True),

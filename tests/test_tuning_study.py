@@ -17,14 +17,14 @@ import pytest
 from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
 from optuna.trial import FrozenTrial, Trial, TrialState
 
-from nerf_rl.rl.tuning import heartbeat
-from nerf_rl.rl.tuning.heartbeat import HEARTBEAT, LOST, Heart, LostTrials
-from nerf_rl.rl.tuning.pruner import EarlierMedianPruner
-from nerf_rl.rl.tuning.sampler import SLOT, WhaleSampler, slot_of
-from nerf_rl.rl.tuning.search import Search
-from nerf_rl.rl.tuning.storage import open_storage
-from nerf_rl.rl.tuning.supervisor import StudyFailedError, supervise
-from nerf_rl.rl.tuning.worker import Task
+from nerf_rl.tuning import heartbeat
+from nerf_rl.tuning.heartbeat import HEARTBEAT, LOST, Heart, LostTrials
+from nerf_rl.tuning.pruner import EarlierMedianPruner
+from nerf_rl.tuning.sampler import SLOT, WhaleSampler, slot_of
+from nerf_rl.tuning.search import Search
+from nerf_rl.tuning.storage import open_storage
+from nerf_rl.tuning.supervisor import StudyFailedError, supervise
+from nerf_rl.tuning.worker import Task
 
 SPACE: dict[str, BaseDistribution] = {"x": FloatDistribution(1e-4, 1.0, log=True), "n": IntDistribution(0, 20)}
 SEARCH = Search(SPACE, population=3, iterations=4, start={"x": 0.01, "n": 10})
@@ -127,7 +127,7 @@ def test_a_study_resumed_in_new_processes_proposes_what_an_uninterrupted_one_doe
 INTERRUPTED = """
 import sys
 from pathlib import Path
-from nerf_rl.rl.tuning.supervisor import supervise
+from nerf_rl.tuning.supervisor import supervise
 from test_tuning_study import start_study
 
 if __name__ == "__main__":
@@ -176,7 +176,7 @@ def test_three_errors_in_a_row_end_a_study_with_the_reason(tmp_path: Path) -> No
 
 
 def test_workers_that_keep_dying_end_a_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nerf_rl.rl.tuning.supervisor._MOST_DEATHS", 2)
+    monkeypatch.setattr("nerf_rl.tuning.supervisor._MOST_DEATHS", 2)
     with pytest.raises(StudyFailedError, match="workers died 3 times and finished nothing meanwhile"):
         supervise(start_study(tmp_path, 12, die_from=0), workers=1)
 

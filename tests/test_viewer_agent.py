@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import torch
 
-from nerf_rl.rl.checkpoint import last_checkpoint, load_agent_tensors, load_checkpoint
+from nerf_rl.rl.agents.ddpg import DDPG
 from nerf_rl.rl.config import LearnerConfig
-from nerf_rl.rl.ddpg import DDPG
-from nerf_rl.viewer.agent import Agent
-from nerf_rl.viewer.agent_pictures import episode_slide, learning_charts
+from nerf_rl.rl.training.checkpoint import last_checkpoint, load_agent_tensors, load_checkpoint
+from nerf_rl.viewer.pages.agent import Agent
+from nerf_rl.viewer.pages.agent_pictures import episode_slide, learning_charts
 
 
 @pytest.fixture(scope="module")

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nerf_rl.cameras import project
-from nerf_rl.datasets.frames import named_points, read_columns, read_frame
-from nerf_rl.datasets.point_cloud import fuse_views, unproject
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.viewer.charts import columns_chart, statistics_chart
-from nerf_rl.viewer.pictures import camera_strip, depth_limits, depth_scale, heat, legend
-from nerf_rl.viewer.statistics import sample_statistics
+from nerf_rl.cameras.geometry import project
+from nerf_rl.datasets.storage.frames import named_points, read_columns, read_frame
+from nerf_rl.datasets.storage.point_cloud import fuse_views, unproject
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.viewer.drawing.charts import columns_chart, statistics_chart
+from nerf_rl.viewer.drawing.pictures import camera_strip, depth_limits, depth_scale, heat, legend
+from nerf_rl.viewer.drawing.statistics import sample_statistics
 from nerf_rl.viewer.timeline import Timeline
 
 

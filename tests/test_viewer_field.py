@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 import torch
 
-from nerf_rl.datasets.frames import Frame, read_frame
-from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.datasets.storage.frames import Frame, read_frame
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import SamplingConfig
-from nerf_rl.pretrain.linear_probe import encode_frames
-from nerf_rl.pretrain.rendering import render_images
-from nerf_rl.viewer.density_mesh import density_mesh, surface_net
-from nerf_rl.viewer.encoder_view import probe_table
-from nerf_rl.viewer.field_panel import Pace
-from nerf_rl.viewer.latents import EncodedDataset, interpolate
-from nerf_rl.viewer.progressive import FreeCamera, Picture, render_progressively
-from nerf_rl.viewer.reconstruction import errors, render_views
+from nerf_rl.pretrain.measures.linear_probe import encode_frames
+from nerf_rl.pretrain.model.ray_rendering import render_images
+from nerf_rl.viewer.field.density_mesh import density_mesh, surface_net
+from nerf_rl.viewer.field.field_panel import Pace
+from nerf_rl.viewer.field.latents import EncodedDataset, interpolate
+from nerf_rl.viewer.field.progressive import FreeCamera, Picture, render_progressively
+from nerf_rl.viewer.field.reconstruction import errors, render_views
+from nerf_rl.viewer.pages.encoder_view import probe_table
 
 
 @pytest.fixture(scope="module")

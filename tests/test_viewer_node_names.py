@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from nerf_rl import cli
-from nerf_rl.datasets.frames import EpisodeColumns, read_frame
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.datasets.sealed_json import write_sealed
-from nerf_rl.viewer.charts import columns_chart
+from nerf_rl.datasets.storage.frames import EpisodeColumns, read_frame
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.files.checksummed_json import write_checksummed
+from nerf_rl.viewer.drawing.charts import columns_chart
 from nerf_rl.viewer.node_names import node_name
-from nerf_rl.viewer.scene_panel import ScenePanel
+from nerf_rl.viewer.panels.scene_panel import ScenePanel
 from nerf_rl.viewer.server import serve
 
 NASTY = ["a", "a/b", "a%2Fb", "/", "%", "", "..", "world", "cloud", "$\\frac{$", "Käse 奶酪"]
@@ -37,7 +37,7 @@ def called(dataset: Path, folder: Path, cameras: list[str], points: list[str], c
             entry["name"] = name
     columns = [f"{name}_{axis}" for name in points for axis in "xyz"]
     manifest["columns"]["privileged"][: len(columns)] = columns
-    write_sealed(folder / "manifest.json", manifest)
+    write_checksummed(folder / "manifest.json", manifest)
     return folder
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from nerf_rl.pretrain.volume_rendering import (
-    approach_samples,
+from nerf_rl.pretrain.model.volume_rendering import (
     composite,
     even_samples,
+    free_space_samples,
     importance_samples,
     rendering_weights,
     sample_spacings,
@@ -106,7 +106,7 @@ def test_surface_samples_are_normal_around_the_surface_and_stay_within_bounds():
 
 def test_approach_samples_lie_before_the_surface_and_are_denser_towards_it():
     generator = torch.Generator().manual_seed(5)
-    samples = approach_samples(torch.tensor([1.0, 0.6]), 0.4, 0.5, torch.rand(2, 4000, generator=generator))
+    samples = free_space_samples(torch.tensor([1.0, 0.6]), 0.4, 0.5, torch.rand(2, 4000, generator=generator))
     assert float(samples[0].min()) == pytest.approx(0.6, abs=1e-3) and float(samples[0].max()) <= 1.0
     for quantile in (0.25, 0.5, 0.75):  # of depth - reach u^2, with u uniform
         expected = 1.0 - 0.4 * (1 - quantile) ** 2

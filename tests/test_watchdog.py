@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from nerf_rl.datasets.shards import SHARDS
-from nerf_rl.datasets.watchdog import lookout
+from nerf_rl.datasets.generation.watchdog import lookout
+from nerf_rl.datasets.storage.shards import SHARDS
 
 HANGS = """
 import sys, time
 from pathlib import Path
-from nerf_rl.datasets.watchdog import alarm
+from nerf_rl.datasets.generation.watchdog import alarm
 
 with alarm(Path(sys.argv[1]), timeout=float(sys.argv[2])) as beat:
     for _ in range(20):
@@ -24,7 +24,7 @@ print("got on")
 """
 WORKER = """
 import time
-from nerf_rl.datasets.watchdog import start_worker
+from nerf_rl.datasets.generation.watchdog import start_worker
 start_worker()
 print("ready", flush=True)
 time.sleep(60)

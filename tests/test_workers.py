@@ -13,9 +13,9 @@ import pytest
 
 from nerf_rl import cli
 from nerf_rl.datasets.config import GenDatasetConfig
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.datasets.shards import SHARDS, partial_files
-from nerf_rl.datasets.workers import render_shards
+from nerf_rl.datasets.generation.workers import render_shards
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.shards import SHARDS, partial_files
 from nerf_rl.errors import FailureError
 
 

@@ -24,8 +24,10 @@ from pathlib import Path
 import h5py
 
 from nerf_rl import cli
-from nerf_rl.datasets.shards import MANIFEST, SHARDS
-from nerf_rl.runs import PROVENANCE, git_revision, package_versions, write_json
+from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS
+from nerf_rl.files.json_files import write_json
+from nerf_rl.files.runs import PROVENANCE
+from nerf_rl.files.versions import git_revision, package_versions
 
 KEYS = {"episodes": 16, "frames_per_episode": 6, "episode_steps": 20, "size": 16, "episodes_per_shard": 2, "workers": 2}
 SHARD_COUNT = 8

@@ -24,9 +24,11 @@ from typing import Any
 import numpy as np
 import yaml
 
-from nerf_rl.cameras import look_at
-from nerf_rl.gl import is_software
-from nerf_rl.runs import SUMMARY, git_revision, package_versions, read_json, write_json
+from nerf_rl.cameras.geometry import look_at
+from nerf_rl.files.json_files import read_json, write_json
+from nerf_rl.files.runs import SUMMARY
+from nerf_rl.files.versions import git_revision, package_versions
+from nerf_rl.machine.gl import is_software
 
 RECIPES = {"data": "datasets/demo.yaml", "encoder": "pretrain/demo.yaml", "agent": "rl/demo.yaml"}
 PRECISIONS = ("32", "bf16")
@@ -132,9 +134,9 @@ class Bench:
 
     def batches(self) -> dict[str, Any]:
         """Return how long a loop of 20 ms steps waits for its batches [ms], by the processes that prepare them."""
-        from nerf_rl.datasets.reader import MultiViewDataset
+        from nerf_rl.datasets.storage.reader import MultiViewDataset
         from nerf_rl.pretrain.config import PretrainConfig
-        from nerf_rl.pretrain.data_module import MultiViewDataModule
+        from nerf_rl.pretrain.data.data_module import MultiViewDataModule
 
         waits = {}
         dataset = MultiViewDataset(self._work / "data")
@@ -165,15 +167,15 @@ class Bench:
         """Return how fast the viewer's field renders for a camera that moves."""
         import torch
 
-        from nerf_rl.pretrain.field import RadianceField
-        from nerf_rl.pretrain.folded_field import FoldedField
-        from nerf_rl.viewer.progressive import FreeCamera, Picture, render_progressively
+        from nerf_rl.pretrain.model.conditioned_field import ConditionedField
+        from nerf_rl.pretrain.model.field import RadianceField
+        from nerf_rl.viewer.field.progressive import FreeCamera, Picture, render_progressively
 
         device = torch.device(self._torch_device)
         folder = self._encoder()
         whole = RadianceField.load(folder).to(device)
         latent = torch.zeros(whole.sizes["latent"], device=device)
-        field, seconds = FoldedField(whole, latent), []
+        field, seconds = ConditionedField(whole, latent), []
         for azimuth in np.linspace(0.0, 90.0, PICTURES):
             pose = look_at(np.array(whole.bounds.centre), 2.0 * whole.bounds.half_extent, float(azimuth), -30.0)
             camera = FreeCamera(pose, float(np.deg2rad(45.0)), 1.0)

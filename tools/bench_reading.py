@@ -22,12 +22,13 @@ import h5py
 import numpy as np
 
 from nerf_rl import cli
-from nerf_rl.datasets.frames import read_frame
-from nerf_rl.datasets.point_cloud import fuse_views
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.datasets.sealed_json import write_sealed
-from nerf_rl.datasets.shards import MANIFEST, SHARDS
-from nerf_rl.runs import git_revision, package_versions, read_json, write_json
+from nerf_rl.datasets.storage.frames import read_frame
+from nerf_rl.datasets.storage.point_cloud import fuse_views
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS
+from nerf_rl.files.checksummed_json import write_checksummed
+from nerf_rl.files.json_files import read_json, write_json
+from nerf_rl.files.versions import git_revision, package_versions
 
 SIZES_GB = (1, 10, 100)
 IMAGES = ("rgb", "depth", "semantic")
@@ -91,7 +92,7 @@ def run_here(*arguments: str) -> dict:
 
 def training_cost(data: Path, out: Path) -> dict:
     """Pretrain for a few steps as `make demo` does; return what a step, its batch and the reading in it take [ms]."""
-    from nerf_rl.pretrain.batches import RayBatches
+    from nerf_rl.pretrain.data.batches import RayBatches
 
     reading, batches, starts = [0.0], [], []
     read, make = MultiViewDataset.read, RayBatches.__getitem__
@@ -147,7 +148,7 @@ def enlarge(template: Path, folder: Path, gigabytes: int) -> None:
                     else:
                         file[name] = array[:]
             entries.append({"file": f"{SHARDS}/{path.name}", "frames": frames, "sha256": f"{shard:064x}"})
-    write_sealed(folder / MANIFEST, {**manifest, "frames": count * frames, "shards": entries})
+    write_checksummed(folder / MANIFEST, {**manifest, "frames": count * frames, "shards": entries})
 
 
 def allocate(file: h5py.File, name: str, like: h5py.Dataset) -> None:
@@ -203,7 +204,9 @@ def resident_mb() -> float:
 
 def seconds_until_served(folder: Path) -> dict:
     """Run `nerf-rl view` until it prints its address; return the seconds in all and of them those of importing."""
-    program = "import time, sys; start = time.perf_counter(); import nerf_rl.viewer.view, nerf_rl.viewer.dataset_view; "
+    program = (
+        "import time, sys; start = time.perf_counter(); import nerf_rl.viewer.view, nerf_rl.viewer.pages.dataset_view; "
+    )
     program += "print(time.perf_counter() - start)"
     imports = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
     start = time.perf_counter()
@@ -224,7 +227,7 @@ def seconds_until_served(folder: Path) -> dict:
 
 def playback(dataset: MultiViewDataset) -> dict:
     """Read frames in order and prepare what the viewer shows of them; return frames a second."""
-    from nerf_rl.viewer.pictures import camera_strip, depth_limits
+    from nerf_rl.viewer.drawing.pictures import camera_strip, depth_limits
 
     limits, every = depth_limits(read_frame(dataset, 0)), range(len(dataset.class_names))
     times = []

@@ -23,14 +23,16 @@ import mujoco
 import numpy as np
 from numpy import ndarray
 
-from nerf_rl.cameras import camera_position
-from nerf_rl.datasets.renderer import MultiViewRenderer, Views
-from nerf_rl.datasets.rig_config import RigConfig
-from nerf_rl.datasets.rigs import make_rig
-from nerf_rl.datasets.scenes import Scene, make_scene
-from nerf_rl.datasets.semantics import semantic_classes
+from nerf_rl.cameras.geometry import camera_position
+from nerf_rl.cameras.rig_config import RigConfig
+from nerf_rl.files.json_files import write_json
+from nerf_rl.files.versions import git_revision, package_versions
 from nerf_rl.metrics import confusion_matrix, intersection_over_union, psnr_db
-from nerf_rl.runs import git_revision, package_versions, write_json
+from nerf_rl.rendering.renderer import MultiViewRenderer, Views
+from nerf_rl.rendering.rigs import make_rig
+from nerf_rl.rendering.semantics import semantic_classes
+from nerf_rl.scenes.base import Scene
+from nerf_rl.scenes.make import make_scene
 
 REPEATS = {"stock": 2, "fast": 4, "plain": 4}  # in a turn
 

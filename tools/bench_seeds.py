@@ -19,12 +19,14 @@ from typing import Any
 import numpy as np
 from bench_scenes import metaworld_tasks
 
-from nerf_rl.datasets.renderer import MultiViewRenderer
-from nerf_rl.datasets.rig_config import RigConfig
-from nerf_rl.datasets.rigs import make_rig
-from nerf_rl.datasets.scenes import Scene, make_scene
-from nerf_rl.gl import use_one_software_thread
-from nerf_rl.runs import git_revision, package_versions, write_json
+from nerf_rl.cameras.rig_config import RigConfig
+from nerf_rl.files.json_files import write_json
+from nerf_rl.files.versions import git_revision, package_versions
+from nerf_rl.machine.gl import use_one_software_thread
+from nerf_rl.rendering.renderer import MultiViewRenderer
+from nerf_rl.rendering.rigs import make_rig
+from nerf_rl.scenes.base import Scene
+from nerf_rl.scenes.make import make_scene
 
 SIZES = {"seeds": [7, 1_234_567], "steps": 30, "size": 64, "steps_of_others": [60, 0, 13]}
 
@@ -114,7 +116,8 @@ def frames(scene: Scene) -> list[tuple[str, np.ndarray]]:
     size = SIZES["size"]
     rig = make_rig(RigConfig(), size, scene)
     renderer = MultiViewRenderer(scene.model, size, size, len(rig.names))
-    views = renderer.render(scene.shown(), rig.intrinsics, rig.poses(scene.shown(), np.random.default_rng(0)))
+    poses = rig.poses(scene.render_data(), np.random.default_rng(0))
+    views = renderer.render(scene.render_data(), rig.intrinsics, poses)
     renderer.close()
     return list(views._asdict().items())
 

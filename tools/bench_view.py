@@ -22,7 +22,8 @@ from typing import Any
 
 from playwright.sync_api import BrowserContext, Page, sync_playwright
 
-from nerf_rl.runs import git_revision, package_versions, write_json
+from nerf_rl.files.json_files import write_json
+from nerf_rl.files.versions import git_revision, package_versions
 
 FLAGS = "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --disable-quic --no-first-run"
 FLAGS += " --disable-background-networking --disable-component-update --disable-sync"

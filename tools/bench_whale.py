@@ -11,11 +11,13 @@ import time
 from pathlib import Path
 
 import numpy as np
+from classical_functions import CLASSICAL, Classical
 from record_demo import markdown_table, replace_tables
 
-from nerf_rl.rl.tuning.classical_functions import CLASSICAL, Classical
-from nerf_rl.rl.tuning.whale import MODES, minimise
-from nerf_rl.runs import git_revision, package_versions, write_json, write_text
+from nerf_rl.files.atomic import write_text
+from nerf_rl.files.json_files import write_json
+from nerf_rl.files.versions import git_revision, package_versions
+from nerf_rl.tuning.whale import MODES, minimise
 
 DIMENSIONS, POPULATION, ITERATIONS = 30, 30, 500
 SHIFT = 0.4

@@ -15,8 +15,11 @@ from compare_precision import ENDLESS, RECIPE, processor
 from compare_tasks import command
 from record_demo import markdown_table, replace_tables
 
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.runs import SUMMARY, git_revision, package_versions, read_json, write_json, write_text
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.files.atomic import write_text
+from nerf_rl.files.json_files import read_json, write_json
+from nerf_rl.files.runs import SUMMARY
+from nerf_rl.files.versions import git_revision, package_versions
 
 RESULT, README = Path("pretrain/results/objectives.json"), Path("pretrain/README.md")
 FOLDER, WHOLE = Path("pretrain/objectives"), "field"

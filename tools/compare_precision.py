@@ -18,8 +18,11 @@ from typing import Any
 
 from record_demo import markdown_table, replace_tables
 
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.runs import SUMMARY, git_revision, package_versions, read_json, write_json, write_text
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.files.atomic import write_text
+from nerf_rl.files.json_files import read_json, write_json
+from nerf_rl.files.runs import SUMMARY
+from nerf_rl.files.versions import git_revision, package_versions
 
 RESULT, README, RECIPE = Path("pretrain/results/precision.json"), Path("pretrain/README.md"), "pretrain/demo.yaml"
 PRECISIONS = ("32", "bf16")

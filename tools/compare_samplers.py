@@ -24,8 +24,10 @@ import yaml
 from matplotlib.figure import Figure
 from record_demo import markdown_table, replace_tables
 
-from nerf_rl.rl.tuning.results import TRIALS
-from nerf_rl.runs import PROVENANCE, SUMMARY, read_json, write_json, write_text, written_whole
+from nerf_rl.files.atomic import atomic_write, write_text
+from nerf_rl.files.json_files import read_json, write_json
+from nerf_rl.files.runs import PROVENANCE, SUMMARY
+from nerf_rl.tuning.results import TRIALS
 
 RECIPE = Path("rl/paper/tune.yaml")
 RUNS = Path("runs/paper/tuning")
@@ -146,7 +148,7 @@ def draw(path: Path) -> None:
             axes.step(steps, [-value for value in best], where="post", color=f"C{index}", alpha=0.8, label=label)
     axes.set(xlabel="environment steps of the search", ylabel="minus the best return so far", yscale="log")
     axes.legend()
-    with written_whole(path) as aside:
+    with atomic_write(path) as aside:
         figure.savefig(aside, format="png", dpi=100)
 
 

@@ -17,7 +17,10 @@ from typing import Any
 from compare_precision import ENDLESS, processor
 from record_demo import markdown_table, replace_tables
 
-from nerf_rl.runs import SUMMARY, git_revision, package_versions, read_json, write_json, write_text
+from nerf_rl.files.atomic import write_text
+from nerf_rl.files.json_files import read_json, write_json
+from nerf_rl.files.runs import SUMMARY
+from nerf_rl.files.versions import git_revision, package_versions
 
 RESULT, README = Path("pretrain/results/tasks.json"), Path("pretrain/README.md")
 DATASET_RECIPE, RECIPE = "datasets/demo.yaml", "pretrain/demo.yaml"

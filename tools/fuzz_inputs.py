@@ -21,7 +21,8 @@ from typing import Any
 
 from fuzz_targets import EXECUTED, HANG, KINDS, MEMORY, OUTCOMES, TRACEBACK, Base, Targets
 
-from nerf_rl.runs import git_revision, package_versions, write_json
+from nerf_rl.files.json_files import write_json
+from nerf_rl.files.versions import git_revision, package_versions
 
 RESULTS = Path(__file__).parent / "results" / "fuzz.json"
 SECONDS, MEGABYTES = 60.0, 4096

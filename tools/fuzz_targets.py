@@ -18,8 +18,8 @@ import numpy as np
 import yaml
 
 from nerf_rl import cli
-from nerf_rl.datasets.sealed_json import CHECKSUM, sealed
 from nerf_rl.errors import FailureError, UserError
+from nerf_rl.files.checksummed_json import CHECKSUM
 
 KINDS = ("recipe", "manifest", "plan", "shard", "encoder.json", "field.json", "policy.json", "weights", "checkpoint")
 RESULT, SENTENCE, TRACEBACK, HANG, MEMORY, EXECUTED = OUTCOMES = (
@@ -123,11 +123,11 @@ class Targets:
 
     def _sign_shard(self) -> None:
         """Let the manifest say that the shard was made as it is now."""
-        from nerf_rl.datasets.shards import sha256_of
+        from nerf_rl.datasets.storage.shards import sha256_of
 
         manifest = json.loads((self._base.dataset / _MANIFEST).read_text())
         manifest["shards"][1]["sha256"] = sha256_of(self._base.dataset / _SHARD)
-        (self._base.dataset / _MANIFEST).write_text(json.dumps(sealed(manifest), indent=2) + "\n")
+        (self._base.dataset / _MANIFEST).write_text(json.dumps(with_checksum(manifest), indent=2) + "\n")
 
     def _readers(self, kind: str, path: Path, number: int) -> list[Callable[[], Any]]:
         base, out = self._base, str(self._scratch / "out")
@@ -190,7 +190,7 @@ class Targets:
 
 def _signed(content: Any) -> Any:
     with contextlib.suppress(ValueError, RecursionError):  # what JSON cannot say cannot be signed
-        return sealed(content)
+        return with_checksum(content)
     return content
 
 
@@ -234,9 +234,9 @@ def _generate_little(words: tuple[str, ...]) -> None:
 
 
 def _read_dataset(folder: Path) -> None:
-    from nerf_rl.datasets.frames import read_frame
-    from nerf_rl.datasets.reader import MultiViewDataset
-    from nerf_rl.pretrain.encoder_rig import EncoderRig
+    from nerf_rl.datasets.storage.frames import read_frame
+    from nerf_rl.datasets.storage.reader import MultiViewDataset
+    from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 
     dataset = MultiViewDataset(folder)
     EncoderRig.of_dataset(dataset)
@@ -248,7 +248,7 @@ def _read_dataset(folder: Path) -> None:
 
 
 def _resumable(words: tuple[str, ...]) -> None:
-    from nerf_rl.datasets.output_record import OutputRecord
+    from nerf_rl.datasets.generation.output_record import OutputRecord
 
     OutputRecord(cli.parse(*_split(words))).check()
 
@@ -256,15 +256,15 @@ def _resumable(words: tuple[str, ...]) -> None:
 def _read_field(folder: Path) -> None:
     import torch
 
-    from nerf_rl.pretrain.field import RadianceField
-    from nerf_rl.pretrain.folded_field import FoldedField
+    from nerf_rl.pretrain.model.conditioned_field import ConditionedField
+    from nerf_rl.pretrain.model.field import RadianceField
 
     field = RadianceField.load(folder).requires_grad_(False)
-    FoldedField(field, torch.zeros(field.sizes["latent"]))
+    ConditionedField(field, torch.zeros(field.sizes["latent"]))
 
 
 def _act(run: Path, encoder: str) -> None:
-    from nerf_rl.rl.policy import Policy
+    from nerf_rl.rl.agents.policy import Policy
 
     policy = Policy.load(run, encoder)
     policy.act(np.zeros((1, policy.observation_size), np.float32))
@@ -283,10 +283,10 @@ _FITTED: list[Any] = []
 def _fitted(base: Base) -> tuple[Any, Any]:
     """Return a module and a trainer of the base's run, made once."""
     if not _FITTED:
-        from nerf_rl.datasets.reader import MultiViewDataset
-        from nerf_rl.pretrain.encoder_rig import EncoderRig
-        from nerf_rl.pretrain.module import SnerlModule
-        from nerf_rl.pretrain.statistics import measure
+        from nerf_rl.datasets.storage.reader import MultiViewDataset
+        from nerf_rl.pretrain.data.statistics import measure
+        from nerf_rl.pretrain.model.encoder_rig import EncoderRig
+        from nerf_rl.pretrain.objectives.snerl_module import SnerlModule
 
         config = cli.parse("pretrain", ["--config", str(base.encoder / "config.yaml")])
         dataset = MultiViewDataset(config.data)
@@ -299,9 +299,9 @@ def _continue(run: Path) -> None:
     """Load the checkpoint of a run of train-rl as the viewer and a resumed run do."""
     import gymnasium
 
-    from nerf_rl.rl.policy import Policy
-    from nerf_rl.rl.trainer import Trainer
-    from nerf_rl.viewer.action_values import ActionValues
+    from nerf_rl.rl.agents.policy import Policy
+    from nerf_rl.rl.training.loop import Trainer
+    from nerf_rl.viewer.pages.action_values import ActionValues
 
     policy = Policy.load(run, str(run.parent / "encoder"))
     ActionValues.load(run, policy)

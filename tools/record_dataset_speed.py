@@ -9,7 +9,8 @@ from pathlib import Path
 
 from record_demo import markdown_table, replace_tables
 
-from nerf_rl.runs import read_json, write_text
+from nerf_rl.files.atomic import write_text
+from nerf_rl.files.json_files import read_json
 
 RESULTS, README = Path("datasets/results"), Path("datasets/README.md")
 

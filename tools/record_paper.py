@@ -16,8 +16,10 @@ from matplotlib.figure import Figure
 from record_demo import markdown_table, read_result, replace_tables
 from run_paper import Run, read_experiments, runs_of
 
+from nerf_rl.files.atomic import atomic_write, write_text
+from nerf_rl.files.json_files import write_json
+from nerf_rl.files.runs import SUMMARY
 from nerf_rl.metrics import wilson_interval
-from nerf_rl.runs import SUMMARY, write_json, write_text, written_whole
 
 RESULTS = Path("rl/results")
 README = Path("rl/README.md")
@@ -111,7 +113,7 @@ def draw(path: Path, finished: dict[str, list[Run]], experiments: dict[str, dict
             axes.set_yscale("log")
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8)
-    with written_whole(path) as aside:
+    with atomic_write(path) as aside:
         figure.savefig(aside, format="png", dpi=80)
 
 

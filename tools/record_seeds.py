@@ -12,7 +12,8 @@ from pathlib import Path
 
 from record_demo import markdown_table, read_result, replace_tables
 
-from nerf_rl.runs import write_json, write_text
+from nerf_rl.files.atomic import write_text
+from nerf_rl.files.json_files import write_json
 
 
 def main() -> None:

@@ -4,9 +4,10 @@ import dataclasses
 import re
 from dataclasses import dataclass, field
 
-from nerf_rl.datasets.rig_config import RigConfig
+from nerf_rl.arguments.limits import require_most, require_seed
+from nerf_rl.cameras.rig_config import RigConfig
 from nerf_rl.errors import UnknownNameError, UserError
-from nerf_rl.limits import require_most, require_seed
+from nerf_rl.rendering.class_config import ClassConfig
 
 MOST_PIXELS, MOST_SHARDS = 4096, 10**6
 BACKENDS = ("loky", "ray")
@@ -50,16 +51,6 @@ class BehaviourConfig:
         usual = (0.2, 0.5) if scripted else (0.0, 0.0)
         by_policy = [default if weight is None else weight for weight, default in zip(chosen, usual, strict=True)]
         return [self.random, *by_policy, self.replay]
-
-
-@dataclass
-class ClassConfig:
-    """A semantic class by pattern: geoms whose path (body/body/.../geom or mesh name) matches belong to it."""
-
-    name: str
-    """class name"""
-    pattern: str
-    """regular expression, searched in the path"""
 
 
 @dataclass

@@ -14,32 +14,32 @@ import torch
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.pretrain.batches import drawn_frames
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.files.json_files import write_json
 from nerf_rl.pretrain.config import FIELD, RANDOM, PretrainConfig
-from nerf_rl.pretrain.data_module import NO_FRAME, MultiViewDataModule
-from nerf_rl.pretrain.distributed import is_lost_connection
-from nerf_rl.pretrain.encoder_module import EncoderModule
-from nerf_rl.pretrain.faults import FAILED_BATCH, NotFiniteError, OutOfMemoryError, is_out_of_memory
-from nerf_rl.pretrain.figures import describe_validation
-from nerf_rl.pretrain.latent_statistics import measure_latents
-from nerf_rl.pretrain.launch import LostProcessError
-from nerf_rl.pretrain.linear_probe import ProbeResult, probe_encoder
-from nerf_rl.pretrain.module import SnerlModule
-from nerf_rl.pretrain.picture_module import PictureModule
-from nerf_rl.pretrain.placement import (
+from nerf_rl.pretrain.data.batches import drawn_frames
+from nerf_rl.pretrain.data.data_module import NO_FRAME, MultiViewDataModule
+from nerf_rl.pretrain.execution.distributed import is_lost_connection
+from nerf_rl.pretrain.execution.faults import FAILED_BATCH, NotFiniteError, OutOfMemoryError, is_out_of_memory
+from nerf_rl.pretrain.execution.launch import LostProcessError
+from nerf_rl.pretrain.execution.placement import (
     choose_accelerator,
     choose_strategy,
     describe_device,
     environment,
     thread_count,
 )
-from nerf_rl.pretrain.precision import lightning_precision, resolve_precision
-from nerf_rl.pretrain.reconstruction import reconstruction_grid
+from nerf_rl.pretrain.measures.figures import describe_validation
+from nerf_rl.pretrain.measures.latent_statistics import measure_latents
+from nerf_rl.pretrain.measures.linear_probe import ProbeResult, probe_encoder
+from nerf_rl.pretrain.model.artefact import CHECKPOINT
+from nerf_rl.pretrain.model.precision import lightning_precision, resolve_precision
+from nerf_rl.pretrain.objectives.encoder_module import EncoderModule
+from nerf_rl.pretrain.objectives.picture_module import PictureModule
+from nerf_rl.pretrain.objectives.reconstruction import reconstruction_grid
+from nerf_rl.pretrain.objectives.snerl_module import SnerlModule
 from nerf_rl.pretrain.resuming import require_resumable
-from nerf_rl.pretrain.train import CHECKPOINT
 from nerf_rl.progress import Progress
-from nerf_rl.runs import write_json
 
 _FRAMES_IN_GRID = 3
 

@@ -2,12 +2,13 @@
 
 from pathlib import Path
 
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.devices import check_device, resolve_device
-from nerf_rl.pretrain.artefact import read_description
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.files.json_files import write_json
+from nerf_rl.files.runs import SUMMARY, prepare_output, write_provenance
+from nerf_rl.machine.devices import check_device, resolve_device
 from nerf_rl.pretrain.config import ProbeConfig
-from nerf_rl.pretrain.encoder_rig import EncoderRig
-from nerf_rl.runs import SUMMARY, prepare_output, write_json, write_provenance
+from nerf_rl.pretrain.model.artefact import read_description
+from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 
 
 def probe(config: ProbeConfig) -> None:
@@ -24,8 +25,8 @@ def probe(config: ProbeConfig) -> None:
         prepare_output(Path(config.out), config.overwrite)
         write_provenance(Path(config.out), "probe", config)
 
-    from nerf_rl.pretrain.encoder import Encoder  # PyTorch takes seconds to import; mistakes are told before
-    from nerf_rl.pretrain.linear_probe import probe_encoder
+    from nerf_rl.pretrain.measures.linear_probe import probe_encoder
+    from nerf_rl.pretrain.model.encoder import Encoder  # PyTorch takes seconds to import; mistakes are told before
 
     encoder = Encoder.load(config.encoder).to(resolve_device(config.device))
     result = probe_encoder(encoder, dataset, config.frames, config.seed, config.ceiling_steps)

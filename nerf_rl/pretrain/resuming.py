@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from nerf_rl.errors import MissingFileError
-from nerf_rl.pretrain.checkpoint_file import read_checkpoint
-from nerf_rl.structure import StructureError, mapping, number, table, text, whole
-from nerf_rl.tensor_files import tensor_fault
+from nerf_rl.files.structure import StructureError, mapping, number, table, text, whole
+from nerf_rl.files.tensor_files import tensor_fault
+from nerf_rl.pretrain.model.checkpoint_file import read_checkpoint
 
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 _STRUCTURE = mapping(

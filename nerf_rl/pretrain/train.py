@@ -4,18 +4,19 @@ import sys
 import time
 from pathlib import Path
 
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.datasets.shards import SPLIT_NAMES
+from nerf_rl.arguments.stored_keys import require_same_keys
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.shards import SPLIT_NAMES
 from nerf_rl.errors import UserError
+from nerf_rl.files.json_files import write_json
+from nerf_rl.files.runs import SUMMARY, prepare_output, write_provenance
+from nerf_rl.machine.memory import peak_rss_mb
+from nerf_rl.machine.threads import wait_passively
 from nerf_rl.pretrain.config import PretrainConfig
-from nerf_rl.pretrain.encoder_rig import EncoderRig
-from nerf_rl.pretrain.figures import describe_hardly_shown, describe_validation, hardly_shown
-from nerf_rl.pretrain.launch import rank_from_outside, run_on_each_device
-from nerf_rl.runs import SUMMARY, peak_rss_mb, prepare_output, write_json, write_provenance
-from nerf_rl.stored_keys import require_same_keys
-from nerf_rl.threads import yield_while_waiting
-
-CHECKPOINT = Path("checkpoints") / "last.ckpt"
+from nerf_rl.pretrain.execution.launch import rank_from_outside, run_on_each_device
+from nerf_rl.pretrain.measures.figures import describe_hardly_shown, describe_validation, hardly_shown
+from nerf_rl.pretrain.model.artefact import CHECKPOINT
+from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 
 
 def pretrain(config: PretrainConfig) -> None:
@@ -30,9 +31,9 @@ def pretrain(config: PretrainConfig) -> None:
         raise UserError(f"{config.data} needs training and validation frames; generate more than one episode")
     EncoderRig.of_dataset(dataset)
     rank = rank_from_outside(config)
-    yield_while_waiting()
+    wait_passively()
     if config.accelerator == "gpu" or config.devices > 1:
-        from nerf_rl.pretrain.placement import choose_accelerator  # PyTorch takes seconds to import
+        from nerf_rl.pretrain.execution.placement import choose_accelerator  # PyTorch takes seconds to import
 
         choose_accelerator(config.accelerator, config.devices)
     folder = Path(config.out)

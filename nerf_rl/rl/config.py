@@ -4,9 +4,9 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import Any
 
-from nerf_rl.devices import check_device_name
+from nerf_rl.arguments.limits import require_most, require_seed
 from nerf_rl.errors import UnknownNameError, UserError
-from nerf_rl.limits import require_most, require_seed
+from nerf_rl.machine.devices import check_device_name
 from nerf_rl.rl.baselines.config import PPOConfig
 
 NO_ENCODER = "none"

@@ -5,14 +5,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nerf_rl.devices import check_device, resolve_device
-from nerf_rl.rl.artefact import check_policy
+from nerf_rl.files.json_files import write_json
+from nerf_rl.files.runs import SUMMARY, prepare_output, write_provenance
+from nerf_rl.machine.devices import check_device, resolve_device
+from nerf_rl.rl.agents.artefact import check_policy
 from nerf_rl.rl.config import EvaluateConfig
-from nerf_rl.rl.rendering_match import warn_of_workers_rendering
-from nerf_rl.runs import SUMMARY, prepare_output, write_json, write_provenance
+from nerf_rl.rl.environments.encoder_match import warn_of_workers_rendering
 
 if TYPE_CHECKING:
-    from nerf_rl.rl.policy import Policy
+    from nerf_rl.rl.agents.policy import Policy
 
 VIDEO = "episodes.mp4"
 _HOLD_FRAMES = 8  # for which the last frame of an episode stays
@@ -31,9 +32,9 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
     write_provenance(out, "evaluate", config)
     print(f"evaluate writes to {out}", flush=True)
 
-    from nerf_rl.rl.envs import make_vector_env
-    from nerf_rl.rl.episodes import evaluation_seeds, run_episodes
-    from nerf_rl.rl.policy import Policy
+    from nerf_rl.rl.agents.policy import Policy
+    from nerf_rl.rl.environments.make import make_vector_env
+    from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes
 
     device = resolve_device(config.device)
     policy = Policy.load(run, config.encoder, device)
@@ -56,8 +57,8 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
 
 
 def _write_video(path: Path, config: EvaluateConfig, policy: "Policy", seeds: list[int], device: str) -> None:
+    from nerf_rl.pictures.video import write_mp4
     from nerf_rl.rl.rollout import film, rollout
-    from nerf_rl.rl.video import write_mp4
 
     clips = [film(rollout(config.run, seed, "", config.video_size, policy, device)) for seed in seeds]
     held = [np.concatenate([clip, np.repeat(clip[-1:], _HOLD_FRAMES, axis=0)]) for clip in clips]

@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
-from nerf_rl.cameras import intrinsics_from_fovy, look_at
-from nerf_rl.datasets.renderer import MultiViewRenderer
-from nerf_rl.datasets.scenes import Scene
-from nerf_rl.rl.envs import make_env
-from nerf_rl.rl.policy import Policy
+from nerf_rl.cameras.geometry import intrinsics_from_fovy, look_at
+from nerf_rl.rendering.renderer import MultiViewRenderer
+from nerf_rl.rl.agents.policy import Policy
+from nerf_rl.rl.environments.make import make_env
+from nerf_rl.scenes.base import Scene
 
 
 @dataclass
@@ -116,7 +116,7 @@ class _Camera:
             return cv2.resize(square, (self._size, self._size), interpolation=cv2.INTER_AREA)
         intrinsics = intrinsics_from_fovy(45.0, self._size, self._size)[None]
         pose = look_at(np.array([0.0, 0.68, 0.12]), 1.1, 25.0, -30.0)[None]
-        return self._renderer.render_rgb(self._scene.shown(), intrinsics, pose)[0]
+        return self._renderer.render_rgb(self._scene.render_data(), intrinsics, pose)[0]
 
     def close(self) -> None:
         """Release the renderer."""

@@ -4,21 +4,20 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nerf_rl.devices import check_device, resolve_device
+from nerf_rl.arguments.stored_keys import require_same_keys
 from nerf_rl.errors import UserError
-from nerf_rl.extras import import_extra
+from nerf_rl.files.runs import prepare_output, write_provenance
+from nerf_rl.machine.devices import check_device, resolve_device
+from nerf_rl.machine.extras import import_extra
 from nerf_rl.progress import Progress
-from nerf_rl.rl.artefact import check_encoder_scene
 from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
-from nerf_rl.rl.rendering_match import warn_of_workers_rendering
-from nerf_rl.rl.run_record import OnEvaluation, RunRecord
-from nerf_rl.runs import prepare_output, write_provenance
-from nerf_rl.stored_keys import require_same_keys
+from nerf_rl.rl.environments.encoder_match import check_encoder_scene, warn_of_workers_rendering
+from nerf_rl.rl.training.run_record import OnEvaluation, RunRecord
 
 if TYPE_CHECKING:
     import gymnasium
 
-    from nerf_rl.rl.envs import EnvSpec
+    from nerf_rl.rl.environments.make import EnvSpec
 
 
 def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -> dict[str, Any]:
@@ -41,7 +40,7 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
     run = Path(config.out)
     resuming = config.resume and config.algo == "ddpg" and _can_resume(run, config)
 
-    from nerf_rl.rl.envs import EnvSpec, check_scene, make_vector_env
+    from nerf_rl.rl.environments.make import EnvSpec, check_scene, make_vector_env
 
     spec = EnvSpec(config.scene, encoder, config.action_repeat, config.episode_steps, config.panda)
     proprio_names = check_scene(spec)
@@ -67,7 +66,7 @@ def _train(config: TrainRLConfig, spec: "EnvSpec", envs: Any, record: RunRecord)
     """Alternate training, evaluation and checkpoints; rewrite the policy after each evaluation."""
     from torch import nn
 
-    from nerf_rl.rl.trainer import Trainer
+    from nerf_rl.rl.training.loop import Trainer
 
     trainer = Trainer(config, envs, Path(config.out), spec.goal_task)
     pauses = (config.evaluation_every, config.checkpoint_every)

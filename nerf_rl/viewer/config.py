@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from nerf_rl.devices import check_device_name
 from nerf_rl.errors import UserError
+from nerf_rl.machine.devices import check_device_name
 
 _SUFFIXES = {"save": ".html", "png": ".png", "mp4": ".mp4"}
 

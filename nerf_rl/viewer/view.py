@@ -2,15 +2,15 @@
 
 from pathlib import Path
 
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.devices import check_device
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import OutputExistsError
-from nerf_rl.rl.artefact import check_policy
-from nerf_rl.threads import yield_while_waiting
-from nerf_rl.viewer.agent_page import save_agent, serve_agent
+from nerf_rl.machine.devices import check_device
+from nerf_rl.machine.threads import wait_passively
+from nerf_rl.rl.agents.artefact import check_policy
 from nerf_rl.viewer.config import ViewConfig
-from nerf_rl.viewer.dataset_page import save_dataset, serve_dataset
-from nerf_rl.viewer.encoder_page import dataset_of_encoder, save_encoder, serve_encoder
+from nerf_rl.viewer.pages.agent_page import save_agent, serve_agent
+from nerf_rl.viewer.pages.dataset_page import save_dataset, serve_dataset
+from nerf_rl.viewer.pages.encoder_page import dataset_of_encoder, save_encoder, serve_encoder
 from nerf_rl.viewer.subject import Subject, find_subject
 
 
@@ -46,7 +46,7 @@ def _open(path: str) -> MultiViewDataset:
 
 
 def _prepare_torch(threads: int) -> None:
-    yield_while_waiting()
+    wait_passively()
     import torch  # takes seconds; mistakes are told before
 
     torch.set_num_threads(threads)

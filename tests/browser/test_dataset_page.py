@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from looking import Look, Viewer
 
-from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 
 
 @pytest.fixture(scope="module")

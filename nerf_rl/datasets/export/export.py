@@ -11,12 +11,13 @@ from nerf_rl.datasets.export.config import ExportConfig
 from nerf_rl.datasets.export.mesh import load_open3d, write_mesh
 from nerf_rl.datasets.export.nerfstudio import write_scene
 from nerf_rl.datasets.export.seen import Seen, seen_in_frame
-from nerf_rl.datasets.frames import read_frame
-from nerf_rl.datasets.point_cloud import write_point_cloud
-from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.datasets.storage.frames import read_frame
+from nerf_rl.datasets.storage.point_cloud import write_point_cloud
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import UnknownNameError, UserError
+from nerf_rl.files.json_files import write_json
+from nerf_rl.files.runs import SUMMARY, check_output, prepare_output, write_provenance
 from nerf_rl.progress import Progress
-from nerf_rl.runs import SUMMARY, check_output, prepare_output, write_json, write_provenance
 
 
 def export(config: ExportConfig) -> None:

@@ -7,8 +7,8 @@ import numpy as np
 
 from nerf_rl.datasets.export.seen import Seen
 from nerf_rl.errors import UserError
-from nerf_rl.extras import import_extra
-from nerf_rl.runs import written_whole
+from nerf_rl.files.atomic import atomic_write
+from nerf_rl.machine.extras import import_extra
 
 _BLOCK, _FIRST_BLOCKS = 16, 1000  # voxels along an edge of a block, and blocks to begin with
 _TRUNCATION_VOXELS = 8.0
@@ -62,6 +62,6 @@ def write_mesh(path: Path, seen: Seen, voxel: float) -> None:
     mesh = grid.extract_triangle_mesh(_LEAST_WEIGHT) if depth.any() else None
     if mesh is None or len(mesh.triangle.indices) == 0:
         raise UserError(f"frame {frame.index} shows no surface to fuse; raise --reach or --exclude fewer classes")
-    with written_whole(path) as aside:
+    with atomic_write(path) as aside:
         if not open3d.io.write_triangle_mesh(str(aside), mesh.to_legacy()):
             raise OSError(f"{path} could not be written")

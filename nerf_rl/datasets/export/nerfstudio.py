@@ -12,9 +12,10 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from nerf_rl.datasets.export.seen import Seen
-from nerf_rl.datasets.point_cloud import write_point_cloud
-from nerf_rl.datasets.reader import MultiViewDataset
-from nerf_rl.runs import write_json, written_whole
+from nerf_rl.datasets.storage.point_cloud import write_point_cloud
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.files.atomic import atomic_write
+from nerf_rl.files.json_files import write_json
 
 _METRES_PER_UNIT = 0.001  # of depth images: millimetres, nerfstudio's default
 _MOST_UNITS = 65535
@@ -85,6 +86,6 @@ def world_from_opengl_camera(camera_from_world: Float[ndarray, "4 4"]) -> Float[
 
 def _write_image(path: Path, image: ndarray) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    with written_whole(path) as aside:
+    with atomic_write(path) as aside:
         if not cv2.imwrite(str(aside), np.ascontiguousarray(image)):
             raise OSError(f"{path} could not be written")

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float32
 from numpy import ndarray
 
-from nerf_rl.datasets.frames import Frame
-from nerf_rl.datasets.point_cloud import PointCloud, fuse_views
-from nerf_rl.datasets.reader import MultiViewDataset
+from nerf_rl.datasets.storage.frames import Frame
+from nerf_rl.datasets.storage.point_cloud import PointCloud, fuse_views
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 
 _FAR = 0.999  # of the far plane's depth: what is farther is background, up to the depth buffer's rounding
 

@@ -9,11 +9,11 @@ from stable_baselines3.common.noise import NormalActionNoise, OrnsteinUhlenbeckA
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
-from nerf_rl.devices import resolve_device
+from nerf_rl.machine.devices import resolve_device
+from nerf_rl.rl.agents.networks import LayeredActor, LayeredConfig
+from nerf_rl.rl.agents.normalisation import RunningNorm
+from nerf_rl.rl.agents.policy import make_actor
 from nerf_rl.rl.config import TrainRLConfig
-from nerf_rl.rl.networks import LayeredActor, LayeredConfig
-from nerf_rl.rl.normalisation import RunningNorm
-from nerf_rl.rl.policy import make_actor
 
 ACTIVATIONS = {"tanh": nn.Tanh, "relu": nn.ReLU}
 CLIPPED_AT = 10.0  # VecNormalize's own limit of standardised observations

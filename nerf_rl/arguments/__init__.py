@@ -1,0 +1,1 @@
+"""Command lines, recipes and stored configurations; what the keys mean, each stage says."""

@@ -1,0 +1,1 @@
+"""``nerf-rl gen-dataset``: episodes acted, rendered and written by many processes."""

@@ -1,0 +1,89 @@
+"""Dataset generation: plan shards, render them in worker processes, write the manifest last."""
+
+import contextlib
+import dataclasses
+import time
+
+from nerf_rl.datasets.config import GenDatasetConfig
+from nerf_rl.datasets.generation.estimate import print_estimate
+from nerf_rl.datasets.generation.manifest import describe, shard_entry, with_shards
+from nerf_rl.datasets.generation.output_record import OutputRecord
+from nerf_rl.datasets.generation.shard_rendering import RenderedShard, open_render_context, shard_episodes
+from nerf_rl.datasets.generation.workers import render_shards
+from nerf_rl.datasets.storage.disk import bytes_needed, explain_full_disk, require_space
+from nerf_rl.datasets.storage.shards import UNFINISHED
+from nerf_rl.files.checksummed_json import write_checksummed
+from nerf_rl.files.json_files import write_json
+from nerf_rl.files.runs import SUMMARY
+from nerf_rl.machine.gl import warn_of_software_rendering
+from nerf_rl.progress import Progress
+
+
+def generate_dataset(config: GenDatasetConfig) -> None:
+    """Render a dataset, or a part of one, into ``config.out``; the format is described in datasets/README.md.
+
+    Raises:
+        UserError: an unknown scene or camera, behaviour that the scene does not have, or an output folder in use.
+        FailureError: too little disk space, workers that keep dying, or frames that show nothing.
+    """
+    started = time.monotonic()
+    if config.estimate:
+        print_estimate(config)
+        return
+    record = OutputRecord(config)
+    record.check()
+    context = open_render_context(config)
+    try:
+        description, gl_renderer = describe(config, context, record.plan), context.renderer.gl_renderer
+    finally:
+        context.renderer.close()
+    warn_of_software_rendering(gl_renderer)
+    frames = {shard: len(shard_episodes(config, shard)) * config.frames_per_episode for shard in record.shards}
+    total = sum(frames.values())
+    done = record.finished_shards(description["scene"])
+    if len(done) == len(frames) and record.is_complete():
+        print(f"{record.dataset}: nothing to do, all {len(done)} shards are there")
+        return
+
+    def bytes_missing() -> int:
+        missing = [frames[shard] for shard in record.shards if shard not in done]
+        return bytes_needed(context.layout, sum(missing), len(missing))
+
+    if not config.overwrite:
+        require_space(record.dataset, bytes_missing())
+    with explain_full_disk(record.dataset, bytes_missing):
+        record.prepare(done)
+        write_checksummed(record.folder / UNFINISHED, description)
+        print(f"writing {total} frames x {len(context.rig.names)} views to {record.dataset}")
+        kept = sum(shard.frames for shard in done.values())
+        _render(config, record, done, total)
+        seconds = time.monotonic() - started
+        entries = [shard_entry(shard) for shard in done.values()]
+        manifest = with_shards(description, entries, (shard.renderer for shard in done.values()))
+        write_checksummed(record.manifest, manifest)
+        (record.folder / UNFINISHED).unlink()
+        views_per_second = (total - kept) * len(context.rig.names) / seconds
+        summary = {
+            "frames": total,
+            "views": total * len(context.rig.names),
+            "seconds": round(seconds, 2),
+            "views_per_second": round(views_per_second, 1),
+            "renderer": manifest["renderer"],
+            "worker_peak_rss_mb": round(max((shard.peak_rss_mb for shard in done.values()), default=0.0), 1),
+        }
+        write_json(record.folder / SUMMARY, summary)
+    print(f"{record.dataset}: {summary['frames']} frames, {summary['views']} views, {views_per_second:.1f} views/s")
+
+
+def _render(config: GenDatasetConfig, record: OutputRecord, done: dict[int, RenderedShard], total: int) -> None:
+    """Render what is missing and add it to ``done``."""
+    missing = [shard for shard in record.shards if shard not in done]
+    kept = sum(shard.frames for shard in done.values())
+    absolute = dataclasses.replace(config, out=str(record.dataset.absolute()))
+    with (
+        Progress(total, "frames", done=kept) as progress,
+        contextlib.closing(render_shards(absolute, missing, progress.say, record.plan)) as rendered,
+    ):
+        for shard in rendered:
+            done[shard.shard] = shard
+            progress.advance(shard.frames)

@@ -1,0 +1,1 @@
+"""Datasets on disk: layout, shards, and reading them; nothing is rendered here."""

@@ -1,0 +1,88 @@
+"""One frame of a dataset with all that its cameras saw, and the episode around it."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Float32, UInt8
+from numpy import ndarray
+
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.shards import SPLIT_NAMES
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What V cameras saw at one step."""
+
+    index: int
+    """in the dataset"""
+    episode: int
+    step: int
+    """environment steps since the episode's reset"""
+    split: str
+    success: bool
+    rgb: UInt8[ndarray, "V H W 3"]
+    semantic: UInt8[ndarray, "V H W"]
+    """class ids"""
+    depth: Float32[ndarray, "V H W"]
+    """planar [m]"""
+    intrinsics: Float[ndarray, "V 3 3"]
+    camera_from_world: Float[ndarray, "V 4 4"]
+    far: float
+    """depth where nothing is hit [m]"""
+    points: dict[str, tuple[float, float, float]]
+    """named positions of the true state [m], such as hand and handle"""
+
+
+@dataclass(frozen=True)
+class EpisodeColumns:
+    """Numbers along an episode of N frames."""
+
+    steps: Float[ndarray, "N"]
+    """environment steps since the reset"""
+    columns: dict[str, Float[ndarray, "N"]]
+    """true state [m], proprioception, actions and reward by name"""
+
+
+def read_frame(dataset: MultiViewDataset, index: int) -> Frame:
+    """Read one frame."""
+
+    def row(name: str) -> Any:
+        return dataset.read(name, [index])[0]
+
+    intrinsics, poses = dataset.cameras([index])
+    return Frame(
+        index,
+        int(row("episode")),
+        int(row("step")),
+        SPLIT_NAMES[int(dataset.read_splits([index])[0])],
+        bool(row("success")),
+        row("rgb"),
+        dataset.read_labels([index])[0],
+        row("depth").astype(np.float32),
+        intrinsics,
+        poses[0],
+        float(dataset.manifest["far"]),
+        named_points(dataset.columns("privileged"), row("state/privileged")),
+    )
+
+
+def named_points(names: tuple[str, ...], values: Float[ndarray, "Q"]) -> dict[str, tuple[float, float, float]]:
+    """Gather columns that are called ``NAME_x``, ``NAME_y`` and ``NAME_z`` into positions [m]."""
+    by_name = dict(zip(names, values.tolist(), strict=True))
+    stems = [name[:-2] for name in names if name.endswith("_x")]
+    axes = ("_x", "_y", "_z")
+    whole = [stem for stem in stems if all(stem + axis in by_name for axis in axes)]
+    return {stem: (by_name[f"{stem}_x"], by_name[f"{stem}_y"], by_name[f"{stem}_z"]) for stem in whole}
+
+
+def read_columns(dataset: MultiViewDataset, frames: range) -> EpisodeColumns:
+    """Read the state, actions and rewards along some frames."""
+    columns: dict[str, ndarray] = {}
+    for group in ("privileged", "proprio", "action"):
+        values = dataset.read(f"state/{group}", frames).astype(np.float64)
+        for i, name in enumerate(dataset.columns(group)):
+            columns.setdefault(name, values[:, i])
+    columns["reward"] = dataset.read("reward", frames).astype(np.float64)
+    return EpisodeColumns(dataset.read("step", frames).astype(np.float64), columns)

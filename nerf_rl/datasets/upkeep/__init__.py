@@ -1,0 +1,1 @@
+"""Datasets checked, repaired and merged after they were made."""

@@ -1,0 +1,1 @@
+"""``nerf-rl doctor``: whether this machine has what is needed."""

@@ -1,0 +1,23 @@
+"""Keys of ``nerf-rl doctor``; importing this module loads nothing heavy."""
+
+from dataclasses import dataclass
+
+from nerf_rl.errors import UserError
+
+
+@dataclass
+class DoctorConfig:
+    """Keys of ``nerf-rl doctor``."""
+
+    folder: str = "."
+    """where datasets and runs will be written, to look at its free space"""
+    json: str = ""
+    """write the findings to this .json file as well"""
+    timeout: float = 60.0
+    """seconds after which a probe counts as hanging"""
+
+    def __post_init__(self) -> None:
+        if self.json and not self.json.endswith(".json"):
+            raise UserError(f"--json must be a .json file, got {self.json}")
+        if self.timeout <= 0:
+            raise UserError(f"--timeout must be positive, got {self.timeout}")

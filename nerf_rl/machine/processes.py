@@ -1,0 +1,36 @@
+"""Child processes: who of them hears Ctrl-C, and that none outlives the process that started it."""
+
+import contextlib
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+
+
+@contextlib.contextmanager
+def ignore_sigint() -> Iterator[None]:
+    """Let processes that are started here ignore Ctrl-C from their first instruction on; this one does so meanwhile.
+
+    A handler that a process sets itself comes seconds late, after its imports. Only the main thread can tell the
+    children to ignore it; in another one nothing is changed.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def end_with_parent() -> None:
+    """End this process soon after the one that started it has gone, however it went."""
+    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+
+
+def _end_with(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(0.5)
+    os._exit(1)

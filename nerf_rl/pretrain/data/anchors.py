@@ -1,0 +1,94 @@
+"""Where things are: the middles of what cameras see of each class, which frames of the radiance field follow.
+
+A photometric loss has no slope towards a small thing that it does not overlap, so a field may learn all but the one
+thing that matters. A middle has a slope from anywhere. It takes labels and depth, and nothing of the simulator's state.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from numpy import ndarray
+
+from nerf_rl.cameras.geometry import camera_position
+
+BACKGROUND = 0
+"""class id of what nothing follows"""
+_LEAST_PIXELS = 6  # of a class in a frame: the middle of fewer is noise
+_LEAST_SEEN = 0.02  # share of frames that show a class which is followed
+_LEAST_SPREAD_M = 0.002  # of its middle, below which a class stays where it is
+
+
+class Middles(NamedTuple):
+    """Where C classes are in B frames."""
+
+    place: Float[ndarray, "B C 3"]
+    """mean of the surface points that cameras see [m]; zero where there are too few"""
+    seen: Bool[ndarray, "B C"]
+    """whether there are enough"""
+
+    @classmethod
+    def of_nothing(cls, classes: int) -> "Middles":
+        """Return those of one frame that shows nothing."""
+        return cls(np.zeros((1, classes, 3)), np.zeros((1, classes), bool))
+
+
+class Anchors(NamedTuple):
+    """The classes that move, of which each is followed by a frame."""
+
+    classes: tuple[int, ...]
+    """their ids"""
+    mean: Float[ndarray, "A 3"]
+    """of their middles over frames [m]"""
+    spread: Float[ndarray, "A"]
+    """root mean square distance of their middles from there [m]"""
+
+
+def visible_middles(
+    depth: Float[ndarray, "B V H W"],
+    semantic: UInt8[ndarray, "B V H W"],
+    intrinsics: Float[ndarray, "V 3 3"],
+    camera_from_world: Float[ndarray, "B V 4 4"],
+    classes: int,
+) -> Middles:
+    """Return the middle of what some cameras see of each class, all their pixels together.
+
+    Args:
+        depth: planar [m].
+        semantic: class ids.
+        intrinsics, camera_from_world: of the cameras.
+        classes: number of classes.
+    """
+    frames, views, height, width = depth.shape
+    labels = semantic.ravel()
+    shown = np.flatnonzero(labels != BACKGROUND)
+    image, pixel = np.divmod(shown.astype(np.int32), height * width)
+    row, column = np.divmod(pixel, width)
+    view = image % views
+    distance = depth.ravel()[shown]
+    group = image * classes + labels[shown]
+    x = (np.arange(width) + 0.5 - intrinsics[:, :1, 2]) / intrinsics[:, :1, 0]
+    y = (np.arange(height) + 0.5 - intrinsics[:, 1:2, 2]) / intrinsics[:, 1:2, 1]
+    # sums in each camera's axes, which are few enough to be turned into the world's one by one
+    local = [distance * x[view, column], distance * y[view, row], distance]
+    size = frames * views * classes
+    shape = (frames, views, classes)
+    count = np.bincount(group, minlength=size).reshape(shape)
+    sums = np.stack([np.bincount(group, axis, size).reshape(shape) for axis in local], axis=-1)
+    position = camera_position(camera_from_world)[:, :, None]
+    world = sums @ camera_from_world[..., :3, :3] + count[..., None] * position
+    pixels = count.sum(1)
+    seen = pixels >= _LEAST_PIXELS
+    return Middles(np.where(seen[..., None], world.sum(1) / np.maximum(pixels, 1)[..., None], 0.0), seen)
+
+
+def choose_anchors(middles: Middles) -> Anchors:
+    """Return the classes that are seen often enough and do not stay where they are."""
+    count = np.maximum(middles.seen.sum(0), 1)
+    mean = middles.place.sum(0) / count[:, None]
+    squared = ((middles.place - mean) ** 2).sum(-1) * middles.seen
+    spread = np.sqrt(squared.sum(0) / count)
+    often = middles.seen.mean(0) >= _LEAST_SEEN
+    chosen = np.flatnonzero(often & (spread >= _LEAST_SPREAD_M))
+    chosen = chosen[chosen != BACKGROUND]
+    return Anchors(tuple(int(c) for c in chosen), mean[chosen], spread[chosen])

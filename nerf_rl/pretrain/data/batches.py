@@ -1,0 +1,137 @@
+"""Training batches: for each step some frames, their encoder images, and rays drawn over their supervising cameras."""
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray
+from torch import Tensor
+from torch.utils.data import Dataset
+
+from nerf_rl.cameras.geometry import camera_position, pixel_directions
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.pretrain.config import PretrainConfig
+from nerf_rl.pretrain.data.anchors import visible_middles
+from nerf_rl.pretrain.data.statistics import Statistics
+from nerf_rl.pretrain.data.teachers import teacher_features
+
+_CANDIDATES_PER_RAY = 32
+WHOLE = slice(None)
+
+
+class RayBatch(NamedTuple):
+    """B frames with R rays each."""
+
+    images: UInt8[Tensor, "B V H W 3"]
+    """what the encoder's cameras see"""
+    projections: Float[Tensor, "B V 3 4"]
+    """their matrices"""
+    origins: Float[Tensor, "B R 3"]
+    """of the rays [m]"""
+    directions: Float[Tensor, "B R 3"]
+    """of the rays, of unit planar depth"""
+    rgb: Float[Tensor, "B R 3"]
+    """true colours in [0, 1]"""
+    semantic: Int[Tensor, "B R"]
+    """true class ids"""
+    depth: Float[Tensor, "B R"]
+    """true planar depth, at most that of the backdrop [m]"""
+    feature: Float[Tensor, "B R F"]
+    """the teachers' features"""
+    middles: Float[Tensor, "B A 3"]
+    """where the encoder's cameras see the classes that move [m]"""
+    seen: Bool[Tensor, "B A"]
+    """whether they do"""
+
+
+class RayBatches(Dataset):
+    """Maps a step's number to its batch, so that a step's content depends on nothing but the seed and the number.
+
+    Args:
+        dataset: to draw from.
+        config: of the run.
+        statistics: of the dataset.
+        share: the scenes of a batch to prepare; the others are left to the processes that train on them.
+    """
+
+    def __init__(self, dataset: MultiViewDataset, config: PretrainConfig, statistics: Statistics, share: slice = WHOLE):
+        self._dataset, self._config, self._statistics, self._share = dataset, config, statistics, share
+        self._frames = dataset.split("train")
+        self._encoder_views = dataset.views("encoder")
+        self._views = dataset.views("encoder", "supervision")
+
+    def __getitem__(self, step: int) -> RayBatch:
+        config, far = self._config, self._statistics.bounds.far
+        rng = step_random(config, step)
+        frames = rng.choice(self._frames, config.scenes_per_step)[self._share]
+        rgb, depth = (self._dataset.read(name, frames) for name in ("rgb", "depth"))
+        semantic = self._dataset.read_labels(frames)
+        intrinsics, poses = self._dataset.cameras(frames)
+        images = rgb[:, self._encoder_views]
+        projections = intrinsics[self._encoder_views] @ poses[:, self._encoder_views, :3]
+
+        scene, view, row, column = self._draw_pixels(semantic[:, self._views], rng)
+        image = scene * depth.shape[1] + view
+        flat_depth = depth.reshape(-1, *depth.shape[2:])
+        flat_poses = np.ascontiguousarray(poses.reshape(-1, 4, 4))
+        flat_intrinsics = np.broadcast_to(intrinsics, (len(frames), *intrinsics.shape)).reshape(-1, 3, 3)
+        pixels = np.stack([column, row], axis=-1)[:, None] + 0.5
+        directions = pixel_directions(flat_intrinsics[image], flat_poses[image], pixels)[:, 0]
+        origins = camera_position(flat_poses)[image]
+        features = (
+            teacher_features(config.teachers, flat_depth, flat_intrinsics, flat_poses, image, row, column, far)
+            if config.teachers
+            else np.zeros((len(image), 0), np.float32)
+        )
+        own = self._encoder_views
+        followed, classes = list(self._statistics.anchors.classes), len(self._statistics.class_weights)
+        middles = visible_middles(depth[:, own], semantic[:, own], intrinsics[own], poses[:, own], classes)
+        shape = (len(frames), config.rays_per_scene)
+
+        def tensor(values: ndarray, dtype: torch.dtype = torch.float32) -> Tensor:
+            return torch.from_numpy(np.ascontiguousarray(values.reshape(*shape, *values.shape[1:]))).to(dtype)
+
+        return RayBatch(
+            torch.from_numpy(np.ascontiguousarray(images)),
+            torch.from_numpy(projections.astype(np.float32)),
+            tensor(origins),
+            tensor(directions),
+            tensor(rgb[scene, view, row, column] / np.float32(255)),
+            tensor(semantic[scene, view, row, column], torch.int64),
+            tensor(np.minimum(depth[scene, view, row, column], far)),
+            tensor(features),
+            torch.from_numpy(middles.place[:, followed].astype(np.float32)),
+            torch.from_numpy(middles.seen[:, followed]),
+        )
+
+    def _draw_pixels(
+        self, semantic: UInt8[ndarray, "B V H W"], rng: np.random.Generator
+    ) -> tuple[Int[ndarray, "M"], Int[ndarray, "M"], Int[ndarray, "M"], Int[ndarray, "M"]]:
+        """Draw rays of each scene by the weights of their pixels' classes; return scene, view, row and column.
+
+        Each scene's rays are drawn from a uniform sample of its pixels, which is much larger than the number of rays.
+        """
+        scenes, rays = self._config.scenes_per_step, self._config.rays_per_scene
+        flat = semantic.reshape(len(semantic), -1)
+        candidates = rng.integers(flat.shape[1], size=(scenes, rays * _CANDIDATES_PER_RAY))[self._share]
+        weights = self._statistics.class_weights.take(np.take_along_axis(flat, candidates, axis=1))
+        weights *= self._statistics.pixel_weights.take(candidates)
+        cumulative = np.cumsum(weights, axis=1)
+        levels = rng.random((scenes, rays))[self._share] * cumulative[:, -1:]
+        drawn = np.stack(
+            [np.searchsorted(row, level, side="right") for row, level in zip(cumulative, levels, strict=True)]
+        )
+        pixel = np.take_along_axis(candidates, np.minimum(drawn, candidates.shape[1] - 1), axis=1).ravel()
+        view, row, column = np.unravel_index(pixel, semantic.shape[1:])
+        return np.repeat(np.arange(len(semantic)), rays), np.asarray(self._views)[view], row, column
+
+
+def step_random(config: PretrainConfig, step: int) -> np.random.Generator:
+    """Return the source of all that is drawn for a step's batch."""
+    return np.random.default_rng([config.seed, step])
+
+
+def drawn_frames(dataset: MultiViewDataset, config: PretrainConfig, step: int) -> Int[ndarray, "B"]:
+    """Return the frames of a step's batch."""
+    return step_random(config, step).choice(dataset.split("train"), config.scenes_per_step)

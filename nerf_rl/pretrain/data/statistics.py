@@ -1,0 +1,152 @@
+"""What training needs to know of a dataset as a whole: the scene's extent, and how often a pixel shows what."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from nerf_rl.cameras.geometry import camera_position, pixel_directions
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.errors import UserError
+from nerf_rl.pretrain.config import PretrainConfig
+from nerf_rl.pretrain.data.anchors import Anchors, Middles, choose_anchors, visible_middles
+from nerf_rl.pretrain.model.field import FieldBounds
+
+_FRAMES = 200
+_FRAMES_AT_ONCE = 8
+_MOST_PIXELS = 1_000_000  # whose depth is looked at
+_PIXELS_PER_POINT = 7  # of them
+_HIT = 0.999  # of the far plane: what is nearer was hit by a ray, not missed by all
+_BACKDROP = 2.5  # in median depths of what is hit
+_BACKDROP_OF_THINGS = 10.0  # in median depths of what is not background
+_BACKGROUND = 0  # class id
+
+
+class Statistics(NamedTuple):
+    """What training needs to know of a dataset as a whole."""
+
+    bounds: FieldBounds
+    class_weights: Float[ndarray, "C"]
+    """of a pixel by its class, when rays are drawn"""
+    pixel_weights: Float[ndarray, "V H W"]
+    """of a pixel by its place, for encoder and supervision cameras"""
+    anchors: Anchors
+    """classes that move, as the encoder's cameras see them"""
+
+
+class _Pixels(NamedTuple):
+    """Some pixels of some frames."""
+
+    frame: Int[ndarray, "M"]
+    """position among the frames"""
+    view: Int[ndarray, "M"]
+    """position among the views"""
+    row: Int[ndarray, "M"]
+    column: Int[ndarray, "M"]
+    depth: Float[ndarray, "M"]
+    """planar [m]"""
+    is_background: ndarray
+
+
+def measure(dataset: MultiViewDataset, config: PretrainConfig) -> Statistics:
+    """Measure the scene's extent and the classes' frequencies on some training frames.
+
+    Raises:
+        UserError: the encoder's cameras see nothing, or the limits of the recipe contradict what they see.
+    """
+    train = dataset.split("train")
+    frames = train[np.linspace(0, len(train) - 1, min(_FRAMES, len(train))).astype(int)]
+    views = dataset.views("encoder", "supervision")
+    intrinsics, poses = dataset.cameras(frames)
+    pixels, shown = _look(dataset, frames, views)
+    counts = shown.sum((1, 2, 3))
+    frequency = np.maximum(counts, 1) / counts.sum()
+    moving = np.abs(poses[:, views] - poses[:1, views]).max((0, 2, 3)) > 1e-9
+    change = np.where(moving[:, None, None], 0.0, class_change(shown))
+    change[moving] = change[~moving].mean() if not moving.all() else 0.0
+    bounds = _bounds(dataset, config, pixels, intrinsics[views], poses[:, views])
+    weights = frequency**-config.class_balance, 1.0 + config.change_boost * change
+    followed = _middles(dataset, frames) if config.losses.anchor else Middles.of_nothing(len(dataset.class_names))
+    return Statistics(bounds, *weights, choose_anchors(followed))
+
+
+def class_change(shown: Int[ndarray, "C V H W"]) -> Float[ndarray, "V H W"]:
+    """Return the share of images in which a pixel does not show its most frequent class.
+
+    Where something may be and is not, the background tells as much as the thing itself does where it is.
+
+    Args:
+        shown: in how many images a pixel shows a class.
+    """
+    return 1.0 - shown.max(0) / shown.sum(0)
+
+
+def _look(dataset: MultiViewDataset, frames: ndarray, views: list[int]) -> tuple[_Pixels, Int[ndarray, "C V H W"]]:
+    """Return pixels spread over the frames and views, and how often each pixel shows each class.
+
+    A few frames at a time: memory does not grow with their number or size, but for the pixels that are kept.
+    """
+    height, width = dataset.manifest["height"], dataset.manifest["width"]
+    size = len(views) * height * width
+    shown = np.zeros((len(dataset.class_names), len(views), height, width), np.int64)
+    rng, parts = np.random.default_rng(0), []
+    for first in range(0, len(frames), _FRAMES_AT_ONCE):
+        chunk = frames[first : first + _FRAMES_AT_ONCE]
+        depth, semantic = dataset.read("depth", chunk)[:, views], dataset.read_labels(chunk)[:, views]
+        for label in range(len(shown)):
+            shown[label] += (semantic == label).sum(0)
+        kept = min(depth.size, _MOST_PIXELS * len(chunk) // len(frames))
+        index = np.sort(rng.choice(depth.size, kept, replace=False)) if kept < depth.size else np.arange(depth.size)
+        frame, rest = np.divmod(index.astype(np.int32), size)
+        view, row, column = np.unravel_index(rest, (len(views), height, width))
+        is_background = semantic.ravel()[index] == _BACKGROUND
+        parts.append(_Pixels(frame + first, view, row, column, depth.ravel()[index], is_background))
+    return _Pixels(*(np.concatenate(column) for column in zip(*parts, strict=True))), shown
+
+
+def _middles(dataset: MultiViewDataset, frames: ndarray) -> Middles:
+    """Return where the encoder's cameras see each class."""
+    views, parts = dataset.views("encoder"), []
+    for first in range(0, len(frames), _FRAMES_AT_ONCE):
+        chunk = frames[first : first + _FRAMES_AT_ONCE]
+        intrinsics, poses = dataset.cameras(chunk)
+        depth, semantic = dataset.read("depth", chunk)[:, views], dataset.read_labels(chunk)[:, views]
+        parts.append(visible_middles(depth, semantic, intrinsics[views], poses[:, views], len(dataset.class_names)))
+    return Middles(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _bounds(
+    dataset: MultiViewDataset,
+    config: PretrainConfig,
+    pixels: _Pixels,
+    intrinsics: Float[ndarray, "V 3 3"],
+    poses: Float[ndarray, "N V 4 4"],
+) -> FieldBounds:
+    """Return where the field lives, from what is hit: where nothing is, depth is that of the renderer's far plane."""
+    fixed = np.isin(dataset.views("encoder", "supervision"), dataset.views("encoder"))
+    hit = pixels.depth < _HIT * dataset.manifest["far"]
+    seen = hit & fixed[pixels.view]
+    sampling = config.sampling
+    if not seen.any() and (sampling.near is None or sampling.far is None):
+        raise UserError(f"{dataset.folder}: the encoder's cameras see nothing at all; look at it with nerf-rl view")
+    near = sampling.near if sampling.near is not None else 0.8 * float(np.quantile(pixels.depth[seen], 0.001))
+    far = sampling.far
+    if far is None:
+        far = _BACKDROP * float(np.median(pixels.depth[seen]))
+        things = pixels.depth[seen & ~pixels.is_background]
+        if len(things):
+            far = min(far, _BACKDROP_OF_THINGS * float(np.median(things)))
+    if not 0 < near < far:
+        raise UserError(f"sampling needs 0 < near < far, got near {near:.3f} and far {far:.3f}")
+
+    chosen = np.flatnonzero(hit & (pixels.depth < far))[::_PIXELS_PER_POINT]
+    if not len(chosen):
+        raise UserError(f"{dataset.folder}: nothing is nearer than --sampling.far {far:.3f}")
+    frame, view, row, column, depth = (values[chosen] for values in pixels[:5])
+    centres = np.stack([column, row], axis=-1)[:, None] + 0.5
+    directions = pixel_directions(intrinsics[view], poses[frame, view], centres)[:, 0]
+    surface = camera_position(poses)[frame, view] + depth[:, None] * directions
+    low, high = np.quantile(surface, [0.05, 0.95], axis=0)
+    centre = [float(value) for value in 0.5 * (low + high)]
+    return FieldBounds(near, far, (centre[0], centre[1], centre[2]), float((high - low).max() / 2))

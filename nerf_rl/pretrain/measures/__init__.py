@@ -1,0 +1,1 @@
+"""What is measured of a frozen encoder: probes, statistics of its latent, figures in words."""

@@ -1,0 +1,66 @@
+"""An encoder that is trained on the true state: how well a latent of that size can know it from these frames."""
+
+import math
+
+import numpy as np
+import torch
+from torch import nn
+from torch.nn import functional as F
+
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.pretrain.config import EncoderConfig
+from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.pretrain.model.encoder_rig import EncoderRig
+from nerf_rl.progress import Progress
+
+_FRAMES_PER_STEP = 64
+_LEARNING_RATE = 7e-4
+_WARM_UP, _LAST_RATE = 0.03, 0.02  # as in pretraining
+_LONGEST_GRADIENT = 1.0
+
+
+def train_supervised(
+    config: EncoderConfig, rig: EncoderRig, dataset: MultiViewDataset, columns: list[int], steps: int, seed: int
+) -> Encoder:
+    """Train an encoder, on the processor, to have some columns of the true state as linear functions of z.
+
+    The loss is the squared error of the columns in units of their deviations, on the dataset's training frames.
+
+    Args:
+        config: sizes of the encoder.
+        rig: its cameras.
+        dataset: with these cameras.
+        columns: of the privileged state, each of which varies.
+        steps: of 64 frames.
+        seed: of its weights and of the order of frames.
+    """
+    frames, views = dataset.split("train"), dataset.views("encoder")
+    state = torch.from_numpy(dataset.read("state/privileged", frames)[:, columns]).float()
+    target = (state - state.mean(0)) / state.std(0)
+    rng = np.random.default_rng(seed)
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        encoder, head = Encoder(config, rig), nn.Linear(config.latent, len(columns))
+    parameters = [*encoder.parameters(), *head.parameters()]
+    optimiser = torch.optim.Adam(parameters, lr=_LEARNING_RATE, betas=(0.9, 0.99), fused=True)
+    schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda step: _rate(step / steps))
+    projections = torch.from_numpy(rig.projections)
+    with Progress(steps, "steps of the supervised encoder") as progress:
+        for _ in range(steps):
+            chosen = rng.integers(len(frames), size=_FRAMES_PER_STEP)
+            images = torch.from_numpy(dataset.read("rgb", frames[chosen])[:, views])
+            latent = encoder(images, projections.expand(len(images), -1, -1, -1))
+            loss = F.mse_loss(head(latent), target[chosen])
+            optimiser.zero_grad()
+            loss.backward()
+            nn.utils.clip_grad_norm_(parameters, _LONGEST_GRADIENT)
+            optimiser.step()
+            schedule.step()
+            progress.advance()
+    return encoder.eval().requires_grad_(False)
+
+
+def _rate(done: float) -> float:
+    if done < _WARM_UP:
+        return 0.1 + 0.9 * done / _WARM_UP
+    return _LAST_RATE + (1.0 - _LAST_RATE) * (0.5 + 0.5 * math.cos(math.pi * (done - _WARM_UP) / (1.0 - _WARM_UP)))

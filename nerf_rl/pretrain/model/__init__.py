@@ -1,0 +1,1 @@
+"""The networks and their files: encoder, radiance field, volume rendering; nothing is trained here."""

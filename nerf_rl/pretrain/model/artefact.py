@@ -1,0 +1,105 @@
+"""Finding an encoder and reading its description, without loading weights; PyTorch is imported for checkpoints only."""
+
+from pathlib import Path
+from typing import Any
+
+from nerf_rl.cameras.rig_config import MOST_CAMERAS
+from nerf_rl.datasets.storage.stored_manifest import LARGEST_IMAGE
+from nerf_rl.errors import MissingFileError
+from nerf_rl.files.json_files import read_json
+from nerf_rl.files.structure import array, listing, mapping, number, one_of, optional, table, text, whole
+
+WEIGHTS = "encoder.safetensors"
+DESCRIPTION = "encoder.json"
+CHECKPOINT = Path("checkpoints") / "last.ckpt"
+"""in a run's folder"""
+FORMAT = 2
+_FIRST_FORMAT = 1  # of descriptions that name none
+SIMULATORS = ("mujoco", "metaworld")
+"""packages that decide what a rendered picture shows"""
+
+_MOST_LAYERS = 16
+_REMEDY = "make one with: nerf-rl pretrain --config pretrain/snerl.yaml --data DATASET --out FOLDER"
+_SIZE = whole(1, 2**20)
+
+_STRUCTURE = mapping(
+    {
+        "format": whole(),
+        "architecture": mapping(
+            {}, {"latent": _SIZE, "patch": _SIZE, "channels": listing(_SIZE, 1, _MOST_LAYERS), "hidden": _SIZE}
+        ),
+        "rig": mapping(
+            {
+                "names": listing(text(), 1, MOST_CAMERAS),
+                "intrinsics": array(-1, 3, 3),
+                "camera_from_world": array(-1, 4, 4),
+                "height": whole(1, LARGEST_IMAGE),
+                "width": whole(1, LARGEST_IMAGE),
+            }
+        ),
+        "scene": mapping({"name": text(), "quality": one_of("fast", "full")}, {"detail": optional(number(0.0))}),
+    },
+    {
+        "classes": listing(text(), 1),
+        "palette": array(-1, 3, of=whole(0, 255)),
+        "packages": table(text()),
+        "renderer": text(),
+    },
+    others=True,
+)
+
+
+def read_description(path: Path | str) -> tuple[Path, dict[str, Any]]:
+    """Return an encoder's run folder and its description, the content of ``encoder.json``.
+
+    A checkpoint carries a description of its own, so that one of a run without an export can be used as well.
+
+    Args:
+        path: a run folder, the folder or a file of an exported encoder, or a Lightning checkpoint.
+
+    Raises:
+        MissingFileError: there is no encoder at the path, its description is damaged, or of another format.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise MissingFileError("an encoder", path, "it does not exist", _REMEDY)
+    candidates = [path] if path.is_dir() else [path.parent, path.parent.parent]
+    folder = next((c for c in candidates if (c / DESCRIPTION).is_file() and (c / WEIGHTS).is_file()), None)
+    if is_checkpoint(path):
+        from nerf_rl.pretrain.model.checkpoint_file import described_encoder
+
+        run = path.parent.parent if path.parent.name == "checkpoints" else path.parent
+        return folder or run, _checked(path, path.name, described_encoder(path))
+    if folder is None:
+        raise MissingFileError("an encoder", path, f"there is no {DESCRIPTION} with its {WEIGHTS}", _REMEDY)
+    try:
+        description = read_json(folder / DESCRIPTION)
+    except (OSError, ValueError) as error:
+        raise MissingFileError("an encoder", path, f"its {DESCRIPTION} is damaged ({error})", _REMEDY) from error
+    return folder, _checked(path, DESCRIPTION, description)
+
+
+def is_checkpoint(path: Path | str) -> bool:
+    """Tell whether a path is that of a Lightning checkpoint."""
+    return Path(path).suffix == ".ckpt" and Path(path).is_file()
+
+
+def _checked(path: Path, file: str, description: Any) -> dict[str, Any]:
+    """Return a description after a look at its format, which decides on the rest, and at its structure."""
+    found = description.get("format", _FIRST_FORMAT) if isinstance(description, dict) else FORMAT
+    if found != FORMAT or isinstance(found, bool):
+        reason = f"the format in {file} is {found!r}, this version reads {FORMAT}"
+        raise MissingFileError(
+            "an encoder for this version", path, reason, "train it again, or use the version of then"
+        )
+    try:
+        _STRUCTURE(description, "")
+        rig = description["rig"]
+        views = {len(rig[what]) for what in ("names", "intrinsics", "camera_from_world")}
+        if len(views) > 1:
+            raise ValueError("its cameras have different numbers of names, intrinsics and poses")
+        if any(matrix[i][i] <= 0 for matrix in rig["intrinsics"] for i in range(3)):
+            raise ValueError("a camera's focal length is not positive")
+    except ValueError as error:
+        raise MissingFileError("an encoder", path, f"its {file} is damaged ({error})", _REMEDY) from error
+    return description

@@ -1,0 +1,150 @@
+"""The multi-view encoder and its exported artefact."""
+
+from dataclasses import asdict
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor, nn
+
+from nerf_rl.errors import MissingFileError
+from nerf_rl.files.json_files import write_json
+from nerf_rl.files.tensor_files import filled, read_tensors, write_tensors
+from nerf_rl.files.versions import package_versions
+from nerf_rl.pretrain.config import EncoderConfig
+from nerf_rl.pretrain.model.artefact import (
+    DESCRIPTION,
+    FORMAT,
+    SIMULATORS,
+    WEIGHTS,
+    is_checkpoint,
+    read_description,
+)
+from nerf_rl.pretrain.model.checkpoint_file import encoder_weights
+from nerf_rl.pretrain.model.encoder_rig import EncoderRig
+from nerf_rl.pretrain.model.precision import in_full_precision
+
+
+class Encoder(nn.Module):
+    """z = h(mean_i g(CNN(o_i), K_i)) over views i (SNeRL, section 4.1).
+
+    There are non-linearities after the camera matrix has joined, so that a view's pose can change how its image is
+    read.
+
+    Args:
+        config: sizes.
+        rig: the cameras that it is trained on.
+
+    Attributes:
+        scene, quality, detail: what is rendered for it, and how.
+        renderer: the OpenGL implementation that made its dataset, as that says; empty if it is not known.
+        simulators: versions of the packages that decide what its dataset's pictures show, by name.
+    """
+
+    latent_mean: Tensor
+    latent_std: Tensor
+
+    def __init__(self, config: EncoderConfig, rig: EncoderRig):
+        super().__init__()
+        self.config, self.rig = config, rig
+        self.scene, self.quality = "", "fast"
+        self.detail: float | None = None
+        self.renderer = ""
+        self.simulators: dict[str, str] = {}
+        patch, widths = config.patch, config.channels
+        blocks: list[nn.Module] = [nn.Conv2d(3, widths[0], patch, stride=patch), _ChannelNorm(widths[0]), nn.ReLU()]
+        for before, after in pairwise(widths):
+            blocks += [nn.Conv2d(before, after, 3, stride=2, padding=1), _ChannelNorm(after), nn.ReLU()]
+        self.convolutions = nn.Sequential(*blocks)
+        with torch.no_grad():
+            flat = self.convolutions(torch.zeros(1, 3, rig.height, rig.width)).numel()
+        width = config.hidden
+        self.per_view = nn.Sequential(*_hidden(flat + 12, width), *_hidden(width, width))
+        self.merged = nn.Sequential(*_hidden(width, width), nn.Linear(width, config.latent))
+        self.register_buffer("latent_mean", torch.zeros(config.latent))
+        self.register_buffer("latent_std", torch.ones(config.latent))
+
+    @property
+    def latent_size(self) -> int:
+        """Size of z."""
+        return self.config.latent
+
+    def forward(
+        self, images: UInt8[Tensor, "B V H W 3"], projections: Float[Tensor, "B V 3 4"]
+    ) -> Float[Tensor, "B Z"]:
+        """Return z of B scenes from V views each.
+
+        Args:
+            images: RGB.
+            projections: P = K [R | t] of each view [pixels, m].
+        """
+        batch, views = images.shape[:2]
+        pixels = images.flatten(0, 1).permute(0, 3, 1, 2).to(projections.dtype) / 255.0 - 0.5
+        seen = self.convolutions(pixels.contiguous(memory_format=torch.channels_last)).flatten(1)
+        size = projections.new_tensor([self.rig.width, self.rig.height, 1.0])
+        cameras = (projections / size[:, None]).reshape(batch * views, 12)  # in image widths and heights
+        each = self.per_view(torch.cat([seen, cameras.to(seen.dtype)], dim=-1))
+        with in_full_precision(each.device):
+            return self.merged(each.to(projections.dtype).reshape(batch, views, -1).mean(1))
+
+    def standardise(self, latent: Float[Tensor, "B Z"]) -> Float[Tensor, "B Z"]:
+        """Return latents with zero mean and unit deviation over the training data."""
+        return (latent - self.latent_mean) / self.latent_std
+
+    def describe(self) -> dict[str, Any]:
+        """Return what ``encoder.json`` says of the encoder itself; :meth:`described` reads it."""
+        return {
+            "format": FORMAT,
+            "architecture": asdict(self.config),
+            "rig": self.rig.to_json(),
+            "scene": {"name": self.scene, "quality": self.quality, "detail": self.detail},
+            "renderer": self.renderer,
+            "packages": {**package_versions(), **self.simulators},
+        }
+
+    def save(self, folder: Path, extra: dict[str, Any]) -> None:
+        """Write ``encoder.safetensors`` and ``encoder.json``; ``extra`` joins the description."""
+        write_tensors(folder / WEIGHTS, self.state_dict())
+        write_json(folder / DESCRIPTION, {**self.describe(), **extra})
+
+    @classmethod
+    def described(cls, description: dict[str, Any]) -> "Encoder":
+        """Return an untrained encoder that is otherwise the one described."""
+        encoder = cls(EncoderConfig(**description["architecture"]), EncoderRig.from_json(description["rig"]))
+        scene, packages = description["scene"], description.get("packages", {})
+        encoder.scene, encoder.quality, encoder.detail = scene["name"], scene["quality"], scene.get("detail")
+        encoder.renderer = description.get("renderer", "")
+        encoder.simulators = {name: packages[name] for name in SIMULATORS if name in packages}
+        return encoder
+
+    @classmethod
+    def load(cls, path: Path | str) -> "Encoder":
+        """Read a frozen encoder.
+
+        Args:
+            path: a run folder, the folder or a file of an exported encoder, or a Lightning checkpoint of a run.
+
+        Raises:
+            MissingFileError: there is no encoder at the path, or it is damaged.
+        """
+        folder, description = read_description(path)
+        file = Path(path) if is_checkpoint(path) else folder / WEIGHTS
+        weights = encoder_weights(file) if is_checkpoint(path) else read_tensors(file)
+        encoder = filled(lambda: cls.described(description), weights, file)
+        if not bool((encoder.latent_std > 0).all()):
+            raise MissingFileError("an encoder", file, "a deviation of its latents is not positive", "train it again")
+        return encoder.eval().requires_grad_(False)
+
+
+def _hidden(before: int, after: int) -> list[nn.Module]:
+    """Return a hidden layer; normalised, since units of a plain one die while the field is still far off."""
+    return [nn.Linear(before, after), nn.LayerNorm(after), nn.SiLU()]
+
+
+class _ChannelNorm(nn.LayerNorm):
+    """Normalises the channels of each place of an image; half the time of GroupNorm where channels come last."""
+
+    def forward(self, maps: Float[Tensor, "B C H W"]) -> Float[Tensor, "B C H W"]:
+        return super().forward(maps.permute(0, 2, 3, 1)).permute(0, 3, 1, 2)

@@ -1,0 +1,73 @@
+"""The cameras that an encoder sees."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Float32
+from numpy import ndarray
+
+from nerf_rl.cameras.geometry import projection_matrix
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.errors import RigMismatchError, UserError
+
+
+@dataclass(frozen=True)
+class EncoderRig:
+    """Fixed cameras with their resolution."""
+
+    names: tuple[str, ...]
+    intrinsics: Float[ndarray, "V 3 3"]
+    """K [pixels]"""
+    camera_from_world: Float[ndarray, "V 4 4"]
+    height: int
+    """of an image [pixels]"""
+    width: int
+    """of an image [pixels]"""
+
+    @property
+    def projections(self) -> Float32[ndarray, "V 3 4"]:
+        """P = K [R | t] of each camera."""
+        return projection_matrix(self.intrinsics, self.camera_from_world).astype(np.float32)
+
+    def require_same(self, other: "EncoderRig") -> None:
+        """Raise RigMismatchError, naming the first difference, unless the cameras are the same."""
+        for what in ("names", "height", "width"):
+            mine, theirs = getattr(self, what), getattr(other, what)
+            if mine != theirs:
+                raise RigMismatchError(f"{what} {mine} there, {theirs} here")
+        for i, name in enumerate(self.names):
+            for what in ("intrinsics", "camera_from_world"):
+                if not np.allclose(getattr(self, what)[i], getattr(other, what)[i], atol=1e-6):
+                    raise RigMismatchError(f"camera '{name}' has another {what}")
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what :meth:`from_json` reads."""
+        return {
+            "names": list(self.names),
+            "intrinsics": self.intrinsics.tolist(),
+            "camera_from_world": self.camera_from_world.tolist(),
+            "height": self.height,
+            "width": self.width,
+        }
+
+    @classmethod
+    def from_json(cls, content: dict[str, Any]) -> "EncoderRig":
+        """Return the rig that ``encoder.json`` describes."""
+        intrinsics, poses = np.array(content["intrinsics"]), np.array(content["camera_from_world"])
+        return cls(tuple(content["names"]), intrinsics, poses, content["height"], content["width"])
+
+    @classmethod
+    def of_dataset(cls, dataset: MultiViewDataset) -> "EncoderRig":
+        """Return the encoder's cameras in a dataset.
+
+        Raises:
+            UserError: they move; an encoder needs fixed cameras.
+        """
+        views = dataset.views("encoder")
+        intrinsics, poses = dataset.cameras(np.array([0, len(dataset) - 1]))
+        if not np.allclose(poses[0, views], poses[1, views]):
+            raise UserError(f"{dataset.folder}: the encoder's cameras move, but an encoder needs fixed ones")
+        names = tuple(dataset.camera_names[view] for view in views)
+        size = dataset.manifest["height"], dataset.manifest["width"]
+        return cls(names, intrinsics[views], poses[0, views], *size)

@@ -1,0 +1,57 @@
+"""The description of a radiance field, ``field.json``, which somebody may hand in."""
+
+from pathlib import Path
+from typing import Any
+
+from nerf_rl.errors import MissingFileError
+from nerf_rl.files.json_files import read_json
+from nerf_rl.files.structure import array, mapping, number, whole
+
+WEIGHTS, DESCRIPTION = "field.safetensors", "field.json"
+FORMAT = 2
+_FIRST_FORMAT = 1  # of descriptions that name none
+
+_SIZE = whole(1, 2**20)
+_STRUCTURE = mapping(
+    {
+        "config": mapping(
+            {},
+            {
+                "width": _SIZE,
+                "layers": whole(1, 64),
+                "frequencies": whole(0, 64),
+                "free_frames": whole(0, 2**10),
+                "plane_size": _SIZE,
+                "plane_features": _SIZE,
+            },
+        ),
+        "bounds": mapping({"near": number(1e-9), "far": number(1e-9), "centre": array(3), "half_extent": number(1e-9)}),
+        "latent": _SIZE,
+        "classes": whole(1, 256),
+        "teacher_features": whole(0, 2**16),
+        "anchors": whole(0, 256),
+    },
+    {"format": whole()},
+)
+
+
+def read_field_description(folder: Path) -> dict[str, Any]:
+    """Return the content of ``field.json``.
+
+    Raises:
+        MissingFileError: there is none, it is damaged, or of another format.
+    """
+    remedy = "give the run folder that pretrain wrote, or train again"
+    path = folder / DESCRIPTION
+    try:
+        described = read_json(path)
+        found = described.get("format", _FIRST_FORMAT) if isinstance(described, dict) else FORMAT
+        if found != FORMAT or isinstance(found, bool):
+            reason = f"its format is {found!r}, this version reads {FORMAT}"
+            raise MissingFileError("a radiance field for this version", path, reason, remedy)
+        _STRUCTURE(described, "")
+        if not described["bounds"]["near"] < described["bounds"]["far"]:
+            raise ValueError("bounds.near is not below bounds.far")
+    except (OSError, ValueError) as error:
+        raise MissingFileError("a radiance field", path, f"it is damaged ({error})", remedy) from error
+    return described

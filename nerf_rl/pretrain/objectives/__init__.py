@@ -1,0 +1,1 @@
+"""What encoders are taught by, as Lightning modules: the radiance field and simpler objectives."""

@@ -1,0 +1,154 @@
+"""What every pretraining run has, whatever teaches its encoder: the encoder, the clock, schedules, checkpoints."""
+
+import math
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import lightning
+import numpy as np
+import torch
+from torch import Tensor
+
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.pretrain.config import PretrainConfig
+from nerf_rl.pretrain.execution.distributed import mean_over_processes, of_first_process
+from nerf_rl.pretrain.execution.faults import NotFiniteError
+from nerf_rl.pretrain.measures.latent_statistics import FRAMES, FRAMES_IN_TRAINING, measure_latents
+from nerf_rl.pretrain.model.artefact import SIMULATORS
+from nerf_rl.pretrain.model.checkpoint_file import ENCODER
+from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.pretrain.model.encoder_rig import EncoderRig
+
+_WARM_UP = 0.03  # share of the schedule in which the learning rate rises
+_LAST_RATE = 0.02  # of the peak rate
+_LONGEST_GRADIENT = 1.0
+
+
+class EncoderModule(lightning.LightningModule):
+    """Trains an encoder; a subclass says by what, in ``training_step``.
+
+    Args:
+        config: of the run.
+        dataset: that it is trained on.
+        rig: the encoder's cameras.
+    """
+
+    def __init__(self, config: PretrainConfig, dataset: MultiViewDataset, rig: EncoderRig):
+        super().__init__()
+        self.config, self._dataset = config, dataset
+        self.encoder = Encoder(config.encoder, rig)
+        self.encoder.scene = dataset.manifest["scene"]["name"]
+        self.encoder.quality = dataset.manifest["config"]["quality"]
+        self.encoder.detail = dataset.manifest.get("detail")
+        self.encoder.renderer = dataset.manifest.get("renderer", "")
+        packages = dataset.manifest.get("packages", {})
+        self.encoder.simulators = {name: packages[name] for name in SIMULATORS if name in packages}
+        self.validation: dict[str, float | None] = {}
+        self.class_iou: dict[str, float | None] = {}
+        self.class_share: dict[str, float] = {}
+        self.validated_step = -1
+        """the step that ``validation``, ``class_iou`` and ``class_share`` (of the pixels) are of"""
+        self.last_losses: dict[str, Tensor] = {}
+        """of the last step; they stay on the device, so that no step waits to show them"""
+        self.seconds = 0.0
+        """spent training, over all resumptions [s]"""
+        self._clock = time.monotonic()
+
+    def describe_step(self) -> str:
+        """Return how the last step went, in words; it may wait for the device."""
+        return f"{100 * self.progress():.0f} % of the budget"
+
+    def log_losses(self, named: Mapping[str, Tensor], total: Tensor) -> Tensor:
+        """Log every loss of a step by its name, of all processes; return the values in the order of the names."""
+        self.last_losses = {name: value.detach() for name, value in named.items()}
+        values = mean_over_processes(torch.stack([value.detach() for value in (*named.values(), total)]))
+        self.log_dict({f"train/{name}": value for name, value in zip((*named, "total"), values, strict=True)})
+        return values
+
+    def step_generator(self) -> torch.Generator:
+        """Return the source of what is random in the current step, which is the same in all processes."""
+        return torch.Generator(self.device).manual_seed(self.config.seed * 1_000_003 + self.global_step)
+
+    def progress(self) -> float:
+        """Return the share of the run that is done: of its steps, or of its time if that is further."""
+        done = self.global_step / self.config.steps
+        if self.config.max_minutes is not None:
+            done = max(done, self.seconds / (60.0 * self.config.max_minutes))
+        return min(done, 1.0)
+
+    def learning_rate_factor(self) -> float:
+        """Return the learning rate as a share of its peak: a linear rise, then a cosine."""
+        done = self.progress()
+        if done < _WARM_UP:
+            return 0.1 + 0.9 * done / _WARM_UP
+        cosine = 0.5 + 0.5 * math.cos(math.pi * (done - _WARM_UP) / (1.0 - _WARM_UP))
+        return _LAST_RATE + (1.0 - _LAST_RATE) * cosine
+
+    def parameter_groups(self) -> list[dict[str, Any]]:
+        """Return what the optimiser moves; a group without a rate has the run's."""
+        return [{"params": [parameter for parameter in self.parameters() if parameter.requires_grad]}]
+
+    def configure_optimizers(self) -> Any:
+        """Return Adam with the schedule of :meth:`learning_rate_factor`."""
+        optimiser = torch.optim.Adam(
+            self.parameter_groups(), lr=self.config.learning_rate, betas=(0.9, 0.99), fused=True
+        )
+        schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda _: self.learning_rate_factor())
+        return {"optimizer": optimiser, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+
+    def configure_gradient_clipping(
+        self,
+        optimizer: torch.optim.Optimizer,
+        gradient_clip_val: int | float | None = None,
+        gradient_clip_algorithm: str | None = None,
+    ) -> None:
+        """Shorten gradients longer than one; refuse a step whose gradient is not finite, before it spoils the weights.
+
+        Lightning's own clipping refuses a fused optimiser in mixed precision, because such an optimiser undoes the
+        scaling of a float16 loss only after it. Losses in bfloat16 are not scaled, so there is nothing to undo.
+        """
+        parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
+        norm = torch.nn.utils.clip_grad_norm_(parameters, _LONGEST_GRADIENT)
+        if not torch.isfinite(norm):
+            raise NotFiniteError(self.global_step, {name: float(value) for name, value in self.last_losses.items()})
+
+    def on_train_batch_start(self, batch: Any, step: int) -> int | None:
+        """Count the time; end the run when the budget is spent."""
+        self._count_time()
+        if self.progress() >= 1.0:
+            self.trainer.should_stop = True
+            return -1
+        return None
+
+    def _count_time(self) -> None:
+        """Add what has passed since the last call; where schedules follow the time, by the first process's clock."""
+        now = time.monotonic()
+        self.seconds, self._clock = self.seconds + now - self._clock, now
+        if self.config.max_minutes is not None:
+            self.seconds = of_first_process(self.seconds, self.device)
+
+    def on_fit_start(self) -> None:
+        """Start the clock."""
+        self._clock = time.monotonic()
+
+    @property
+    def palette(self) -> np.ndarray:
+        """Colours of the semantic classes, u8 [C, 3]."""
+        return self._dataset.palette
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Keep the time spent, which the schedule may depend on, and what makes the encoder usable by itself.
+
+        That is its description and the statistics of its latents, which belong to these very weights.
+        """
+        checkpoint["seconds"] = self.seconds
+        classes = {"classes": list(self._dataset.class_names), "palette": self.palette.tolist()}
+        checkpoint[ENCODER] = {**self.encoder.describe(), **classes}
+        frames = FRAMES if self.progress() >= 1.0 else FRAMES_IN_TRAINING
+        mean, deviation = measure_latents(self.encoder, self._dataset, frames)
+        checkpoint["state_dict"] |= {"encoder.latent_mean": mean, "encoder.latent_std": deviation}
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Restore the time spent."""
+        self.seconds = checkpoint["seconds"]

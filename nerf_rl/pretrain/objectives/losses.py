@@ -1,0 +1,52 @@
+"""The losses of pretraining, as one dictionary of named scalars: L = sum of weight x loss (SNeRL, equation 6)."""
+
+from dataclasses import asdict
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional as F
+
+from nerf_rl.pretrain.config import LossConfig
+from nerf_rl.pretrain.data.batches import RayBatch
+from nerf_rl.pretrain.model.ray_rendering import RenderedRays
+
+_BETA = 0.1  # of the anchors' Huber loss: errors above a tenth of the spread count by their size, not its square
+
+
+def losses(
+    rendered: RenderedRays, batch: RayBatch, origins: Float[Tensor, "B A 3"], spread: Float[Tensor, "A"]
+) -> dict[str, Tensor]:
+    """Return each loss, unweighted.
+
+    ``rgb``: mean squared error of colours. ``semantic``: cross-entropy of class labels. ``feature``: mean squared
+    error of the teachers' features. ``depth``: mean distance of a ray's weight from its known surface [m],
+    ``sum_i w_i |t_i - depth|``, which bounds the error of the expected depth from above and is only zero if all weight
+    lies on the surface. ``anchor``: Huber loss between the frames that follow classes and the visible middles of those,
+    in units of how far each class moves, so that what moves little counts as much; what is hidden counts as right.
+
+    Args:
+        rendered: rays of the batch.
+        batch: what they should show.
+        origins: of the frames that follow classes [m].
+        spread: how far those classes move [m].
+    """
+    values = rendered.values
+    named = {
+        "rgb": F.mse_loss(values["rgb"].float(), batch.rgb),
+        "semantic": F.cross_entropy(values["semantic"].float().flatten(0, 1), batch.semantic.flatten()),
+        "depth": (rendered.weights * (rendered.depths - batch.depth[..., None]).abs()).sum(-1).mean(),
+    }
+    if "feature" in values:
+        named["feature"] = F.mse_loss(values["feature"].float(), batch.feature)
+    if len(spread):
+        errors = (origins - batch.middles) / spread[:, None]
+        each = F.smooth_l1_loss(errors, torch.zeros_like(errors), reduction="none", beta=_BETA)
+        named["anchor"] = (each.sum(-1) * batch.seen).mean()
+    return named
+
+
+def weighted_sum(named: dict[str, Tensor], weights: LossConfig) -> Tensor:
+    """Return the scalar to minimise."""
+    weight = asdict(weights)
+    return torch.stack([weight[name] * value for name, value in named.items()]).sum()

@@ -1,0 +1,242 @@
+"""Multi-view rendering: RGB, depth and labels of one simulation state from many cameras, in few passes.
+
+All views are tiles of one off-screen image, which is read back once; only if that would be larger than OpenGL allows do
+they take turns. Depth comes out of the label pass, in which each geom has its own colour, colours out of a second one.
+Sites are not drawn, since goal markers would give the goal away.
+"""
+
+import copy
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float, Int32, UInt8
+from numpy import ndarray
+
+from nerf_rl.cameras.geometry import camera_position
+from nerf_rl.machine.gl import renderer_name
+from nerf_rl.rendering.culling import FrustumCulling
+from nerf_rl.rendering.level_of_detail import simplify_meshes
+from nerf_rl.rendering.offscreen_target import OffscreenTarget
+
+_HIDDEN_GROUP = 5  # of geoms; not drawn by default
+_FULL_SHADOW_MAP = 4096
+_USUAL_DETAIL = 1.0 / (2.0 * np.tan(np.deg2rad(22.5)) * 0.7)  # [1/m], times the image's height
+_FULL_SAMPLES = 4
+
+
+class Views(NamedTuple):
+    """What several cameras see of one state."""
+
+    rgb: UInt8[ndarray, "V H W 3"]
+    depth: Float[ndarray, "V H W"]
+    """planar depth [m]; the far plane's where nothing is hit"""
+    geom: Int32[ndarray, "V H W"]
+    """geom id; -1 where no geom is hit"""
+
+
+class MultiViewRenderer:
+    """Renders a model from any cameras.
+
+    Args:
+        model: the simulated model; positions, colours and sizes are read from it at each call.
+        height, width: of one view [pixels].
+        views: the most cameras a call may have.
+        quality: ``full`` (shadows, reflections, multisampling), ``plain`` (none of these) or ``fast`` (as ``plain``,
+            with meshes simplified for the images).
+        detail: pixels that a metre takes where a camera is nearest to what it shows, which decides how far meshes are
+            simplified; none: as for a camera with a field of view of 45 degrees, 0.7 m away.
+
+    Raises:
+        UserError: a view is larger than OpenGL can draw.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        height: int,
+        width: int,
+        views: int,
+        quality: str = "fast",
+        detail: float | None = None,
+    ):
+        self._model, self._height, self._width, self._views = model, height, width, views
+        self.detail = height * _USUAL_DETAIL if detail is None else detail
+        drawn = simplify_meshes(model, height, self.detail) if quality == "fast" else copy.deepcopy(model)
+        self._plain = OffscreenTarget(drawn, height, width, views, shadow_map=0, samples=0)
+        self._fine = (
+            OffscreenTarget(drawn, height, width, views, _FULL_SHADOW_MAP, _FULL_SAMPLES) if quality == "full" else None
+        )
+        self._at_once = self._plain.tiles if self._fine is None else min(self._plain.tiles, self._fine.tiles)
+        self._option = mujoco.MjvOption()
+        self._option.sitegroup[:] = 0
+        self._camera, self._perturb = mujoco.MjvCamera(), mujoco.MjvPerturb()
+        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 1000)
+        self._scene_geoms = self._scene.geoms  # making this tuple takes longer than reading what is in it
+        self._near = float(model.vis.map.znear * model.stat.extent)
+        self.far = float(model.vis.map.zfar * model.stat.extent)
+        self._culling = FrustumCulling(model, height, width, self._near)
+        self._target = self._plain  # what was drawn to last
+        self._rgb = np.empty((self._at_once * height, width, 3), np.uint8)
+        self._buffer_depth = np.empty((self._at_once * height, width), np.float32)
+
+    @property
+    def gl_renderer(self) -> str:
+        """The OpenGL implementation's name for itself."""
+        self._plain.make_current()
+        return renderer_name()
+
+    def render(
+        self,
+        data: mujoco.MjData,
+        intrinsics: Float[ndarray, "V 3 3"],
+        camera_from_world: Float[ndarray, "V 4 4"],
+    ) -> Views:
+        """Render colours, depth and geom ids.
+
+        Args:
+            data: the state, with positions propagated; :class:`RenderData` gives it at any time.
+            intrinsics: K [pixels], with square pixels and a centred principal point.
+            camera_from_world: poses.
+        """
+        turns = self._turns(intrinsics, camera_from_world)
+        rendered = [self._render_at_once(data, *cameras) for cameras in turns]
+        return rendered[0] if len(rendered) == 1 else Views(*map(np.concatenate, zip(*rendered, strict=True)))
+
+    def render_rgb(
+        self,
+        data: mujoco.MjData,
+        intrinsics: Float[ndarray, "V 3 3"],
+        camera_from_world: Float[ndarray, "V 4 4"],
+    ) -> UInt8[ndarray, "V H W 3"]:
+        """Render colours alone, the same as in :meth:`render`."""
+        turns = self._turns(intrinsics, camera_from_world)
+        rendered = [self._colours(data, *cameras, self._culling.outside(data, *cameras)) for cameras in turns]
+        return rendered[0] if len(rendered) == 1 else np.concatenate(rendered)
+
+    def close(self) -> None:
+        """Free the OpenGL resources."""
+        for target in (self._plain, self._fine):
+            if target is not None:
+                target.close()
+
+    def _turns(
+        self, intrinsics: Float[ndarray, "V 3 3"], camera_from_world: Float[ndarray, "V 4 4"]
+    ) -> list[tuple[ndarray, ndarray]]:
+        """Divide cameras into as many as are drawn at once."""
+        count = len(intrinsics)
+        if count > self._views:
+            raise ValueError(f"this renderer was made for {self._views} views, got {count}")
+        turns = [slice(first, first + self._at_once) for first in range(0, count, self._at_once)]
+        return [(intrinsics[turn], camera_from_world[turn]) for turn in turns]
+
+    def _render_at_once(self, data: mujoco.MjData, intrinsics: ndarray, camera_from_world: ndarray) -> Views:
+        hidden = self._culling.outside(data, intrinsics, camera_from_world)
+        drawn = self._draw(self._plain, data, intrinsics, camera_from_world, hidden, labels=True)
+        colours = self._read(len(intrinsics), depth=True)
+        segment = colours[..., 0].astype(np.int32) | colours[..., 1].astype(np.int32) << 8
+        labels = np.stack([view.geom_of_segment[ids] for view, ids in zip(drawn, segment, strict=True)])
+        buffer = self._tiles(self._buffer_depth, len(intrinsics))
+        depth = self._near * self.far / (self._near + buffer * (self.far - self._near))
+        opaque = np.array([view.opaque for view in drawn])
+        hidden |= opaque[:, None] & ~_shown(labels, self._model.ngeom)  # what is behind other geoms adds no colour
+        rgb = self._colours(data, intrinsics, camera_from_world, hidden)
+        return Views(rgb, depth.astype(np.float32), labels)
+
+    def _colours(
+        self, data: mujoco.MjData, intrinsics: ndarray, camera_from_world: ndarray, hidden: Bool[ndarray, "V G"]
+    ) -> UInt8[ndarray, "V H W 3"]:
+        if self._fine is None:
+            self._draw(self._plain, data, intrinsics, camera_from_world, hidden)
+        else:  # what a camera does not see may cast a shadow into its view
+            self._draw(self._fine, data, intrinsics, camera_from_world, np.zeros_like(hidden))
+        return self._read(len(intrinsics)).copy()
+
+    def _draw(
+        self,
+        target: OffscreenTarget,
+        data: mujoco.MjData,
+        intrinsics: ndarray,
+        camera_from_world: ndarray,
+        hidden: Bool[ndarray, "V G"],
+        labels: bool = False,
+    ) -> list["_DrawnGeoms"]:
+        """Draw all views without the geoms hidden from them; for labels, tell what each colour is."""
+        target.make_current()
+        self._target = target
+        flags = self._scene.flags
+        flags[mujoco.mjtRndFlag.mjRND_SHADOW] = flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = target.has_shadows
+        flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = labels
+        drawn = []
+        for view in range(len(intrinsics)):
+            self._update_scene(data, intrinsics[view], camera_from_world[view], hidden[view])
+            tile = mujoco.MjrRect(0, view * self._height, self._width, self._height)
+            mujoco.mjr_render(tile, self._scene, target.context)
+            if labels:
+                drawn.append(self._drawn_geoms())
+        return drawn
+
+    def _read(self, count: int, depth: bool = False) -> UInt8[ndarray, "V H W 3"]:
+        """Read back what was drawn last, into buffers that the next call overwrites; return the colours."""
+        rect = mujoco.MjrRect(0, 0, self._width, count * self._height)
+        buffer_depth = self._buffer_depth[: count * self._height] if depth else None
+        mujoco.mjr_readPixels(self._rgb[: count * self._height], buffer_depth, rect, self._target.context)
+        return self._tiles(self._rgb, count)
+
+    def _tiles(self, atlas: ndarray, count: int) -> ndarray:
+        """Return the views, each with its top row first; OpenGL reads rows back from the bottom."""
+        stacked = atlas[: count * self._height]
+        return stacked.reshape(count, self._height, self._width, *atlas.shape[2:])[:, ::-1]
+
+    def _update_scene(
+        self, data: mujoco.MjData, intrinsics: ndarray, camera_from_world: ndarray, hidden: Bool[ndarray, "G"]
+    ) -> None:
+        """Fill the scene with all but the hidden geoms, and set the camera.
+
+        Geoms are drawn in the scene's order, so planes come last: most of a floor is covered by what stands on it.
+        """
+        model, everything = self._model, mujoco.mjtCatBit.mjCAT_ALL.value
+        groups = model.geom_group.copy()
+        planes = (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & ~hidden
+        try:  # groups are how to leave geoms out of a scene; nothing else reads them meanwhile
+            model.geom_group[hidden | planes] = _HIDDEN_GROUP
+            mujoco.mjv_updateScene(model, data, self._option, None, self._camera, everything, self._scene)
+            if planes.any():
+                model.geom_group[:] = np.where(planes, groups, _HIDDEN_GROUP)
+                mujoco.mjv_addGeoms(model, data, self._option, self._perturb, everything, self._scene)
+        finally:
+            model.geom_group[:] = groups
+        tangent = 0.5 * self._height / intrinsics[1, 1]
+        for camera in self._scene.camera:
+            camera.pos = camera_position(camera_from_world)
+            camera.forward = camera_from_world[2, :3]
+            camera.up = -camera_from_world[1, :3]
+            camera.frustum_center = 0.0
+            camera.frustum_width = 0.0  # from the viewport's aspect
+            camera.frustum_top, camera.frustum_bottom = self._near * tangent, -self._near * tangent
+            camera.frustum_near, camera.frustum_far = self._near, self.far
+
+    def _drawn_geoms(self) -> "_DrawnGeoms":
+        """Describe what is in the scene."""
+        geom_of_segment, opaque = np.full(len(self._scene_geoms) + 1, -1, np.int32), True
+        for geom in self._scene_geoms[: self._scene.ngeom]:
+            opaque = opaque and geom.rgba[3] >= 1
+            if geom.segid >= 0 and geom.objtype == mujoco.mjtObj.mjOBJ_GEOM:
+                geom_of_segment[geom.segid + 1] = geom.objid
+        return _DrawnGeoms(geom_of_segment, opaque)
+
+
+class _DrawnGeoms(NamedTuple):
+    """What was drawn into one view."""
+
+    geom_of_segment: Int32[ndarray, "S"]
+    """geom id of each colour of the label pass; colour 0 is the background, the n-th geom has n + 1"""
+    opaque: bool
+    """whether nothing shows through anything, so that what has no label has no colour either"""
+
+
+def _shown(labels: Int32[ndarray, "V H W"], geoms: int) -> Bool[ndarray, "V geoms"]:
+    """Tell which geoms have a pixel in each view."""
+    first = np.arange(len(labels), dtype=np.int32)[:, None, None] * (geoms + 1)
+    counts = np.bincount((labels + 1 + first).ravel(), minlength=len(labels) * (geoms + 1))
+    return counts.reshape(len(labels), geoms + 1)[:, 1:] > 0

@@ -1,0 +1,132 @@
+"""Semantic classes of geoms: from the body tree, or from a recipe's patterns."""
+
+import colorsys
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from jaxtyping import Int, UInt8
+from numpy import ndarray
+
+from nerf_rl.errors import UserError
+from nerf_rl.rendering.class_config import ClassConfig
+from nerf_rl.scenes.body_parts import BodyParts, chain
+from nerf_rl.scenes.workspace import is_drawn
+
+BACKGROUND = "background"
+_MOST_CLASSES = 255
+
+
+@dataclass(frozen=True)
+class SemanticClasses:
+    """Class names and the class of each geom; class 0 is the background."""
+
+    names: tuple[str, ...]
+    geom_class: UInt8[ndarray, "G"]
+    """class id of each geom, and last, reached by geom id -1, that of the background"""
+
+    def label(self, geom: Int[ndarray, "*S"]) -> UInt8[ndarray, "*S"]:
+        """Return the class ids of geom ids (-1: nothing hit)."""
+        return self.geom_class[geom]
+
+
+def semantic_classes(model: mujoco.MjModel, parts: BodyParts, patterns: Sequence[ClassConfig] = ()) -> SemanticClasses:
+    """Sort the geoms of a model into classes.
+
+    The first pattern found in a geom's path decides. Otherwise geoms below a gripper are *gripper*, others below a
+    robot *robot*; a body that moves by a joint of its own is a class of its own with what is fixed to it; what is fixed
+    in the same tree (a cabinet around a drawer) is a class by its body's name; a fixed tree that can be seen (a shelf)
+    is a class by its root's name; surroundings and what belongs to no body are background.
+
+    Args:
+        model: compiled.
+        parts: which bodies are robots, grippers and surroundings.
+        patterns: classes by pattern.
+
+    Raises:
+        UserError: a pattern is no regular expression or matches no geom, or there are more than 255 classes.
+    """
+    expressions = [_compile(pattern) for pattern in patterns]
+    automatic = _AutomaticClasses(model, parts)
+    names = [BACKGROUND]
+    geom_class = np.zeros(model.ngeom + 1, np.uint8)
+    matched = set()
+    for geom in range(model.ngeom):
+        path = geom_path(model, geom)
+        found = next((i for i, expression in enumerate(expressions) if expression.search(path)), None)
+        if found is None:
+            name = automatic.name(int(model.geom_bodyid[geom]))
+        else:
+            name = patterns[found].name
+            matched.add(found)
+        if name not in names:
+            names.append(name)
+        if len(names) > _MOST_CLASSES:
+            raise UserError(f"more than {_MOST_CLASSES} semantic classes; group them by patterns in 'classes'")
+        geom_class[geom] = names.index(name)
+    for i, pattern in enumerate(patterns):
+        if i not in matched:
+            paths = sorted({geom_path(model, geom) for geom in range(model.ngeom)})
+            raise UserError(
+                f"class '{pattern.name}': no geom matches '{pattern.pattern}'; available: {', '.join(paths)}"
+            )
+    return SemanticClasses(tuple(names), geom_class)
+
+
+def geom_path(model: mujoco.MjModel, geom: int) -> str:
+    """Return the names of the bodies from the world down to the geom, then its mesh or own name, joined by slashes."""
+    parts = []
+    body = int(model.geom_bodyid[geom])
+    while body:
+        parts.append(model.body(body).name)
+        body = int(model.body_parentid[body])
+    is_mesh = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH
+    own = model.geom(geom).name or (model.mesh(int(model.geom_dataid[geom])).name if is_mesh else "")
+    return "/".join([*reversed(parts), own])
+
+
+def palette(count: int) -> UInt8[ndarray, "count 3"]:
+    """Return distinct colours for classes: grey for the background, then hues a golden angle apart."""
+    colours = [(0.35, 0.35, 0.35)]
+    colours += [colorsys.hsv_to_rgb((0.02 + 0.618034 * i) % 1.0, 0.75, 0.95) for i in range(count - 1)]
+    return (np.array(colours[:count]) * 255).round().astype(np.uint8)
+
+
+def _compile(pattern: ClassConfig) -> re.Pattern[str]:
+    try:
+        return re.compile(pattern.pattern)
+    except re.error as error:
+        raise UserError(f"class '{pattern.name}': '{pattern.pattern}' is no regular expression ({error})") from error
+
+
+class _AutomaticClasses:
+    """Names the class of a body by where it stands in the tree."""
+
+    def __init__(self, model: mujoco.MjModel, parts: BodyParts):
+        self._model, self._parts = model, parts
+        self._movable = {int(model.body_rootid[body]) for body in range(1, model.nbody) if model.body_jntnum[body]}
+        drawn = {int(model.geom_bodyid[geom]) for geom in range(model.ngeom) if is_drawn(model, geom)}
+        self._seen = {int(model.body_rootid[body]) for body in drawn}
+
+    def name(self, body: int) -> str:
+        """Return the name of a body's class."""
+        model, root = self._model, int(self._model.body_rootid[body])
+        links = chain(model, body)
+        if set(links) & set(self._parts.gripper):
+            return "gripper"
+        if set(links) & set(self._parts.robot):
+            return "robot"
+        if not body or root in self._parts.surroundings:
+            return BACKGROUND
+        if root in self._movable:
+            moved_by = [link for link in links if model.body_jntnum[link]][:1]
+            return self._first_name([*moved_by, *links]) or f"object_{root}"
+        if root not in self._seen or model.body_mocapid[root] >= 0:
+            return BACKGROUND
+        return self._first_name(links[::-1]) or f"fixture_{root}"
+
+    def _first_name(self, links: list[int]) -> str:
+        names = (self._model.body(link).name for link in links)
+        return next((name for name in names if name), "").removesuffix("_link")

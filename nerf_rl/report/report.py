@@ -1,0 +1,182 @@
+"""``nerf-rl report``: an agent, and its encoder and dataset where it has them, on one self-contained page."""
+
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy import ndarray
+
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.errors import MissingFileError, OutputExistsError
+from nerf_rl.files.atomic import write_text
+from nerf_rl.files.json_files import read_json
+from nerf_rl.files.runs import PROVENANCE, SUMMARY
+from nerf_rl.pictures.page import Page
+from nerf_rl.pretrain.measures.figures import describe_iou, describe_validation
+from nerf_rl.pretrain.model.artefact import read_description
+from nerf_rl.report.config import ReportConfig
+from nerf_rl.report.sources import FIELD, Sources, find_sources
+
+if TYPE_CHECKING:
+    from nerf_rl.rl.rollout import Rollout
+
+_FRAMES_PER_SECOND = 12.0
+_TITLES = {"data": "dataset", "encoder": "encoder", "agent": "policy"}
+
+
+def write_report(config: ReportConfig) -> None:
+    """Write the page and print its key figures.
+
+    Raises:
+        UserError: the agent, or a part that was named, is missing or unfinished; parts are of different scenes, or the
+            encoder is not the agent's; the page exists.
+    """
+    out = Path(config.out)
+    if out.exists() and not config.overwrite:
+        raise OutputExistsError(out, "use --overwrite true or another --out")
+    sources = find_sources(config)
+    summaries = {name: _summary(folder) for name, folder in sources.folders.items()}
+
+    page = Page(f"{sources.scene}: {', '.join(_TITLES[name] for name in summaries)}")
+    lines = _key_figures(summaries)
+    page.preformatted("\n".join(lines))
+    if sources.dataset is not None:
+        _add_dataset(page, sources.dataset)
+    if "encoder" in summaries:
+        _add_encoder(page, sources.folders["encoder"], summaries["encoder"])
+    _add_agent(page, config, sources, summaries["agent"])
+    page.heading("How it was made")
+    for folder in sources.folders.values():
+        page.preformatted(_made(folder))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_text(out, page.render())
+    print("\n".join([*lines, f"report: {out}"]))
+
+
+def _summary(folder: Path) -> dict[str, Any]:
+    path = folder / SUMMARY
+    if not path.is_file():
+        raise MissingFileError("a finished run", folder, f"it holds no {SUMMARY}", "finish it with --resume true")
+    return read_json(path)
+
+
+def _key_figures(summaries: dict[str, dict[str, Any]]) -> list[str]:
+    lines = []
+    if data := summaries.get("data"):
+        lines.append(
+            f"dataset  {data['frames']} frames, {data['views']} views in {data['seconds']:.0f} s "
+            f"({data['views_per_second']:.0f} views/s, {data['renderer']})"
+        )
+    if encoder := summaries.get("encoder"):
+        probe = encoder["probe"].items()
+        lines.append(
+            f"encoder  {encoder['steps']} steps in {encoder['seconds']:.0f} s: held-out "
+            f"{describe_validation(encoder['validation'])}"
+        )
+        lines.append("probe    " + ", ".join(f"{name} {figure['rmse_mm']:.1f} mm" for name, figure in probe))
+    agent = summaries["agent"]
+    last = agent["evaluations"][-1]
+    lines.append(
+        f"policy   {last['success_rate']:.0%} success (95 % interval {last['ci_low']:.0%} to {last['ci_high']:.0%}, "
+        f"{last['episodes']} episodes) after {last['env_steps']} environment steps in {agent['seconds']:.0f} s"
+    )
+    return lines
+
+
+def _add_dataset(page: Page, dataset: MultiViewDataset) -> None:
+    from nerf_rl.report.contact_sheet import contact_sheet
+
+    page.heading("Dataset")
+    names = ", ".join(dataset.camera_names)
+    frames = np.linspace(0, len(dataset) - 1, 6).astype(int)[1:-1].tolist()
+    for pair in (frames[:2], frames[2:]):
+        caption = f"Colours, labels and depth of two frames; cameras: {names}."
+        page.image(contact_sheet(dataset, pair), caption)
+    page.legend(dataset.class_names, dataset.palette)
+
+
+def _add_encoder(page: Page, folder: Path, summary: dict[str, Any]) -> None:
+    page.heading("Encoder")
+    pictures = sorted((folder / "reconstructions").glob("step_*.png"))
+    if pictures:
+        caption = (
+            "Held-out frames from the encoder's cameras: what they saw (upper row of each pair) and what the radiance "
+            "field renders from the latent alone (lower row). Colours, labels, depth."
+        )
+        page.image(pictures[-1].read_bytes(), caption)
+    page.table(["class", "IoU"], [[name, describe_iou(iou)] for name, iou in summary["class_iou"].items()])
+    page.paragraph("What a linear map reads from the latent, on held-out episodes:")
+    rows = []
+    for name, figure in summary["probe"].items():
+        untrained = summary["probe_random_encoder"][name]
+        rows.append([name, f"{figure['rmse_mm']:.1f}", f"{figure['r2']:.3f}", f"{untrained['rmse_mm']:.1f}"])
+    page.table(["state", "RMSE [mm]", "R2", "untrained encoder, RMSE [mm]"], rows)
+
+
+def _add_agent(page: Page, config: ReportConfig, sources: Sources, summary: dict[str, Any]) -> None:
+    from nerf_rl.pictures.video import write_mp4
+    from nerf_rl.rl.rollout import rollout
+    from nerf_rl.rl.training.records import draw_learning_curve
+
+    page.heading("Policy")
+    draw, shown = _drawing(sources)
+    clips, outcomes = [], []
+    for i in range(config.episodes):
+        episode = rollout(config.agent, config.seed + i, config.encoder)
+        outcomes.append("success" if episode.success.any() else "no success")
+        clips.append(draw(episode))
+    with TemporaryDirectory() as scratch:
+        write_mp4(Path(scratch) / "clip.mp4", np.concatenate(clips), _FRAMES_PER_SECOND)
+        draw_learning_curve(Path(scratch) / "curve.png", summary["evaluations"], "")
+        seeds = f"seeds {config.seed} to {config.seed + config.episodes - 1}"
+        caption = f"Episodes of {seeds} ({', '.join(outcomes)}). {shown}"
+        page.clip((Path(scratch) / "clip.mp4").read_bytes(), caption)
+        page.image((Path(scratch) / "curve.png").read_bytes(), "Evaluations during training, with 95 % intervals.")
+    rows = [
+        [
+            str(e["env_steps"]),
+            f"{e['success_rate']:.0%}",
+            f"{e['ci_low']:.0%} to {e['ci_high']:.0%}",
+            str(e["episodes"]),
+        ]
+        for e in summary["evaluations"]
+    ]
+    page.table(["environment steps", "success", "95 % interval", "episodes"], rows)
+
+
+def _drawing(sources: Sources) -> "tuple[Callable[[Rollout], ndarray], str]":
+    """Return what draws an episode, and a sentence on what is to be seen."""
+    from nerf_rl.rl.rollout import film
+
+    if sources.agents_encoder is None:
+        return film, "The scene; the policy observes its true state, and no image."
+    folder, description = read_description(sources.agents_encoder)
+    if not (folder / FIELD).is_file():
+        return film, "Left: the scene. Right: what the encoder's cameras see."
+    from nerf_rl.pretrain.model.encoder import Encoder
+    from nerf_rl.pretrain.model.field import RadianceField
+    from nerf_rl.report.decoded_rollout import decoded_clip
+
+    rig, field = Encoder.load(sources.agents_encoder).rig, RadianceField.load(folder)
+    palette = np.array(description["palette"], np.uint8)
+
+    def draw(episode: "Rollout") -> ndarray:
+        assert episode.images is not None and episode.latents is not None  # the agent has an encoder
+        return decoded_clip(episode.view, episode.images, episode.latents, field, rig, palette)
+
+    return draw, (
+        f"Left: the scene. Middle: camera '{rig.names[0]}' above what the field decodes from the latent. "
+        "Right: decoded labels above decoded depth."
+    )
+
+
+def _made(folder: Path) -> str:
+    """Return the command, revision and versions behind a folder."""
+    if not (folder / PROVENANCE).is_file():
+        return f"{folder}: unknown"
+    record = read_json(folder / PROVENANCE)
+    versions = " ".join(f"{name}=={version}" for name, version in record["packages"].items())
+    command = " ".join(["nerf-rl", *record["arguments"]])
+    return f"{command}\n  revision {record['git_revision']}, seed {record['seed']}\n  {versions}"

@@ -1,0 +1,1 @@
+"""DDPG: networks, updates, and the policy as files; no environment is stepped here."""

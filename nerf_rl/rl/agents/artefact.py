@@ -1,0 +1,88 @@
+"""Encoders and policies as files: found, identified and checked without loading torch."""
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+from nerf_rl.errors import MissingFileError, UserError
+from nerf_rl.files.json_files import read_json
+from nerf_rl.files.structure import flag, listing, mapping, number, one_of, optional, text, whole
+from nerf_rl.pretrain.model.artefact import WEIGHTS, is_checkpoint, read_description
+
+POLICY_VERSION = 2
+POLICY_WEIGHTS, POLICY_DESCRIPTION = "policy.safetensors", "policy.json"
+_SIZE = whole(1, 2**20)
+_WIDTHS = listing(_SIZE, 0, 64)
+_STRUCTURE = mapping(
+    {
+        "version": whole(),
+        "env": mapping(
+            {"scene": text(), "encoder": optional(text()), "action_repeat": whole(1), "episode_steps": whole(1)},
+            {"panda": mapping({}, dict.fromkeys(("control", "reward", "observation"), text()))},
+        ),
+        "network": mapping({}, others=True),
+        "observation_size": _SIZE,
+        "action_size": _SIZE,
+        "proprio_names": listing(text()),
+        "encoder_digest": optional(text()),
+        "env_steps": whole(),
+    },
+    others=True,
+)
+_DDPG = mapping(
+    {"kind": one_of("ddpg"), "hidden": listing(_SIZE, 2, 2)},
+    {"normalisation": one_of("layer", "batch", "none"), "standardise": flag},
+)
+_LAYERED = mapping(
+    {
+        "kind": one_of("layered"),
+        "hidden": _WIDTHS,
+        "activation": one_of("tanh", "relu"),
+        "bound": one_of("tanh", "clip"),
+        "observation_limit": optional(number(0.0)),
+    }
+)
+
+
+def encoder_digest(encoder: str | Path) -> str:
+    """Return the sha256 of the file that holds an encoder's weights."""
+    folder, _ = read_description(encoder)
+    weights = Path(encoder) if is_checkpoint(encoder) else folder / WEIGHTS
+    with open(weights, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def check_policy(run: Path, encoder: str = "") -> dict[str, Any]:
+    """Return the description of a run's policy.
+
+    Args:
+        run: a run folder of train-rl.
+        encoder: where its encoder is now, if it has moved.
+
+    Raises:
+        MissingFileError: no policy there, or no encoder where it is said to be.
+        UserError: the encoder there is not the one that the policy was trained with.
+    """
+    for name in (POLICY_DESCRIPTION, POLICY_WEIGHTS):
+        if not (run / name).is_file():
+            remedy = "train one with nerf-rl train-rl"
+            raise MissingFileError("a train-rl run with a policy", run, f"it holds no {name}", remedy)
+    remedy = "train it again"
+    try:
+        description = read_json(run / POLICY_DESCRIPTION)
+        version = description.get("version") if isinstance(description, dict) else POLICY_VERSION
+        if version != POLICY_VERSION or isinstance(version, bool):
+            raise UserError(
+                f"the policy in {run} has format {version}, this version reads {POLICY_VERSION}; train it again"
+            )
+        _STRUCTURE(description, "")
+        (_LAYERED if description["network"].get("kind") == "layered" else _DDPG)(description["network"], "network")
+    except (OSError, ValueError) as error:
+        reason = f"its {POLICY_DESCRIPTION} is damaged ({error})"
+        raise MissingFileError("a train-rl run with a policy", run, reason, remedy) from error
+    env = description["env"]
+    if env["encoder"] is not None:
+        env["encoder"] = encoder or env["encoder"]
+        if encoder_digest(env["encoder"]) != description["encoder_digest"]:
+            raise UserError(f"{env['encoder']} is not the encoder that the policy in {run} was trained with")
+    return description

@@ -1,0 +1,107 @@
+"""A frozen encoder's latent as a Gymnasium observation."""
+
+import multiprocessing
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium.spaces import Box
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+
+from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.rendering.renderer import MultiViewRenderer
+from nerf_rl.rl.environments.encoder_match import warn_of_other_rendering
+from nerf_rl.scenes.render_data import RenderData
+
+
+class LatentObservation(gymnasium.ObservationWrapper):
+    """Replaces an environment's observation by [standardised latent, proprioception], float32.
+
+    The cameras, their resolution and the rendering quality are those of the encoder's artefact, and they see the state
+    as a dataset shows it: nothing else is needed.
+
+        encoder = Encoder.load("runs/encoder")
+        env = LatentObservation(env, encoder, proprio=lambda observation: observation[:4])
+
+    Args:
+        env: any environment whose ``unwrapped`` has MuJoCo's ``model`` and ``data``.
+        encoder: a loaded encoder, or where to load it from.
+        proprio: from the environment's observation to what the robot knows of itself [P]; None for the latent alone.
+        device: to move the encoder to; None leaves it where it is. Observations are in the CPU's memory either way.
+
+    Attributes:
+        last_images: what the cameras saw at the last observation [V, H, W, 3], uint8.
+        last_latent: its latent [Z], as the encoder gives it (not standardised).
+    """
+
+    last_images: UInt8[ndarray, "V H W 3"]
+    last_latent: Float[ndarray, "Z"]
+
+    def __init__(
+        self,
+        env: gymnasium.Env,
+        encoder: Encoder | str | Path,
+        proprio: Callable[[Any], ndarray] | None = None,
+        device: torch.device | str | None = None,
+    ):
+        super().__init__(env)
+        self.encoder = Encoder.load(Path(encoder)) if isinstance(encoder, (str, Path)) else encoder
+        if device is not None:
+            self.encoder.to(device)
+        self._proprio = proprio
+        self._renderer: MultiViewRenderer | None = None
+        self._render_data: RenderData | None = None
+        self._device = self.encoder.latent_mean.device
+        projections = torch.as_tensor(self.encoder.rig.projections, dtype=torch.float32, device=self._device)
+        self._projections = projections[None]
+        box = env.observation_space
+        example = np.zeros(box.shape or (), box.dtype)
+        size = self.encoder.latent_size + (0 if proprio is None else len(proprio(example)))
+        self.observation_space = Box(-np.inf, np.inf, (size,), np.float32)
+
+    def observation(self, observation: Any) -> Float[ndarray, "O"]:
+        """Look at the scene as it is now and return [latent, proprioception]."""
+        self.last_images = self._render()
+        with torch.inference_mode():
+            latent = self.encoder(torch.from_numpy(self.last_images).to(self._device)[None], self._projections)
+            standardised = self.encoder.standardise(latent)[0]
+        self.last_latent = latent[0].float().cpu().numpy()
+        parts = [standardised.float().cpu().numpy()]
+        if self._proprio is not None:
+            parts.append(self._proprio(observation))
+        return np.concatenate(parts).astype(np.float32)
+
+    @property
+    def gl_renderer(self) -> str:
+        """The name of the OpenGL implementation that renders here."""
+        return self._make_renderer().gl_renderer
+
+    def close(self) -> None:
+        """Release the renderer and the environment."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+        super().close()
+
+    def _make_renderer(self) -> MultiViewRenderer:
+        """Return the renderer, which is created late, in the process that renders."""
+        if self._renderer is None:
+            simulation: Any = self.env.unwrapped
+            rig = self.encoder.rig
+            self._render_data = RenderData(simulation.model)
+            self._renderer = MultiViewRenderer(
+                simulation.model, rig.height, rig.width, len(rig.names), self.encoder.quality, self.encoder.detail
+            )
+            if multiprocessing.parent_process() is None:  # a learner tells for its workers
+                warn_of_other_rendering(self.encoder.renderer, self.encoder.simulators, self._renderer.gl_renderer)
+        return self._renderer
+
+    def _render(self) -> UInt8[ndarray, "V H W 3"]:
+        renderer, rig = self._make_renderer(), self.encoder.rig
+        simulation: Any = self.env.unwrapped
+        assert self._render_data is not None
+        return renderer.render_rgb(self._render_data.of(simulation.data), rig.intrinsics, rig.camera_from_world)

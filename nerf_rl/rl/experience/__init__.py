@@ -1,0 +1,1 @@
+"""Transitions: noise that finds them, returns and goals read into them, the memory that keeps them."""

@@ -1,0 +1,213 @@
+"""Replay memory on disk, prioritised (Schaul et al. 2016), on TorchRL's storage and segment trees."""
+
+import logging
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from numpy import ndarray
+from torch import Tensor
+from torchrl.data import LazyMemmapStorage, ReplayBuffer
+from torchrl.data.replay_buffers.samplers import PrioritizedSampler, RandomSampler
+
+from nerf_rl.errors import MissingFileError, UserError
+from nerf_rl.files.tensor_files import require_tensors
+from nerf_rl.rl.config import ReplayConfig
+from nerf_rl.rl.experience.n_step import Transition
+
+logging.getLogger("torchrl").setLevel(logging.WARNING)
+
+
+class Batch(NamedTuple):
+    """Transitions drawn from memory."""
+
+    indices: Int[Tensor, "B"]
+    """their rows in memory"""
+    weight: Float[Tensor, "B"]
+    """importance weights in (0, 1]"""
+    observation: Float[Tensor, "B O"]
+    action: Float[Tensor, "B A"]
+    reward: Float[Tensor, "B"]
+    discount: Float[Tensor, "B"]
+    next_observation: Float[Tensor, "B O"]
+
+
+class Replay:
+    """Memory of n-step transitions.
+
+    A transition is one row [observation, action, reward, discount, next observation] of a memory-mapped float32 file,
+    so that a batch is gathered in one pass and memory use does not grow with the capacity.
+
+    Args:
+        config: capacity and prioritisation.
+        observation_size, action_size: O and A.
+        batch_size: transitions in a batch.
+        folder: holds the file until :meth:`close`.
+        seed: of the drawing.
+        checkpoint_rows: rows that checkpoints hold beside memory, at most; for the room that they need on the disk.
+
+    Attributes:
+        stored: how many rows have ever been stored; those still there are the last ``len(replay)`` of them.
+
+    Raises:
+        UserError: the disk has no room for the capacity (the file is sparse, so it would fail much later) and the
+            checkpoints.
+    """
+
+    def __init__(
+        self,
+        config: ReplayConfig,
+        observation_size: int,
+        action_size: int,
+        batch_size: int,
+        folder: Path,
+        seed: int = 0,
+        checkpoint_rows: int = 0,
+    ):
+        self.prioritised = config.prioritised
+        self._batch_size = batch_size
+        self._split = [observation_size, action_size, 1, 1, observation_size]
+        self._capacity, self.stored = config.capacity, 0
+        self._folder = folder
+        shutil.rmtree(folder, ignore_errors=True)  # what a killed run left behind
+        check_free_space(folder.parent, 4 * sum(self._split) * (config.capacity + checkpoint_rows))
+        folder.mkdir(parents=True)
+        self._storage = LazyMemmapStorage(config.capacity, scratch_dir=folder)
+        self._sampler = (
+            PrioritizedSampler(config.capacity, alpha=config.alpha, beta=config.beta, eps=config.epsilon)
+            if config.prioritised
+            else RandomSampler()
+        )
+        self.generator = torch.Generator().manual_seed(seed)
+        self._buffer = ReplayBuffer(storage=self._storage, sampler=self._sampler, batch_size=batch_size)
+        self._buffer.set_rng(self.generator)
+        self._rows: Tensor | None = None
+
+    def __len__(self) -> int:
+        return len(self._storage)
+
+    def add(self, transitions: Sequence[Transition]) -> None:
+        """Store transitions with the greatest priority so far, in place of the oldest ones if memory is full."""
+        if transitions:
+            rows = [(t.observation, t.action, [t.reward, t.discount], t.next_observation) for t in transitions]
+            self._extend(torch.from_numpy(np.stack([np.concatenate(row) for row in rows]).astype(np.float32)))
+
+    @property
+    def oldest(self) -> int:
+        """How many rows were stored before the oldest that is still there."""
+        return self.stored - len(self)
+
+    def rows(self, first: int, end: int) -> Float[Tensor, "N W"]:
+        """Return the rows before which ``first``, ``first`` + 1, ... and ``end`` - 1 others were stored."""
+        return self._gather_rows(torch.arange(first, end) % self._capacity)
+
+    def sample(self, beta: float) -> Batch:
+        """Draw a batch with P(i) = p_i^alpha / sum_k p_k^alpha and weights w_i = (N P(i))^-beta / max_k w_k.
+
+        The greatest weight is that of the whole memory, which is how TorchRL's segment trees give it.
+        """
+        if self.prioritised:
+            self._sampler.beta = beta
+        index, information = self._sampler.sample(self._storage, self._batch_size)
+        observation, action, reward, discount, next_observation = self._gather(index)
+        weight = information["priority_weight"].float() if self.prioritised else torch.ones(self._batch_size)
+        return Batch(index, weight, observation, action, reward.squeeze(-1), discount.squeeze(-1), next_observation)
+
+    def sample_observations(self) -> Float[Tensor, "B O"]:
+        """Draw the observations of a uniform batch."""
+        index = torch.randint(len(self), (self._batch_size,), generator=self.generator)
+        return self._gather(index)[0]
+
+    def observations(self, index: Int[ndarray, "B"]) -> Float[ndarray, "B O"]:
+        """Return the observations in some rows of memory."""
+        return self._gather(torch.from_numpy(index))[0].numpy()
+
+    def update_priority(self, index: Int[Tensor, "B"], error: Float[Tensor, "B"]) -> None:
+        """Set the priorities of drawn transitions: |error| + epsilon."""
+        if self.prioritised:
+            self._sampler.update_priority(index, error.abs())
+
+    def state(self) -> dict[str, Tensor]:
+        """Return all that a resumed run needs: the rows and what :meth:`bookkeeping` returns."""
+        return {"rows": self.rows(self.oldest, self.stored), **self.bookkeeping()}
+
+    def bookkeeping(self) -> dict[str, Tensor]:
+        """Return all but the rows that a resumed run needs: how many were stored, priorities, random state."""
+        indices = torch.arange(len(self))
+        state = {"stored": torch.tensor(self.stored), "generator": self.generator.get_state()}
+        if self.prioritised:
+            sampler = self._sampler.state_dict()
+            state["powered_priority"] = torch.as_tensor(sampler["_sum_tree"][indices])
+            state["max_priority"] = torch.as_tensor(self._sampler.default_priority, dtype=torch.float32)
+        return state
+
+    def load_state(self, state: dict[str, Tensor], source: Path = Path("the checkpoint")) -> None:
+        """Fill an empty memory with what :meth:`state` returned; its rows are there from the oldest on.
+
+        Args:
+            state: of a checkpoint.
+            source: the checkpoint, to be named if it does not fit.
+
+        Raises:
+            MissingFileError: it is that of another memory.
+        """
+        rows = len(state["rows"]) if "rows" in state and state["rows"].dim() else 0
+        like = {"rows": torch.zeros(rows, sum(self._split)), "stored": torch.tensor(0)}
+        like["generator"] = self.generator.get_state()
+        if self.prioritised:
+            like |= {"powered_priority": torch.zeros(rows), "max_priority": torch.zeros(())}
+        require_tensors(state, like, source)
+        stored = int(state["stored"])
+        least = float(state["powered_priority"].min()) if self.prioritised and rows else 1.0
+        try:
+            if rows == 0 or rows != min(stored, self._capacity) or least <= 0:
+                raise ValueError("its rows, their number or their priorities are out of range")
+            self.generator.set_state(state["generator"])
+        except (ValueError, RuntimeError) as error:
+            remedy = "begin the run anew with --overwrite true, or use another --out"
+            reason = f"its replay memory is damaged ({error})"
+            raise MissingFileError("a checkpoint", source, reason, remedy) from error
+        self._extend(state["rows"].roll(stored % self._capacity, 0) if rows == self._capacity else state["rows"])
+        self.stored = stored
+        self._buffer.writer.load_state_dict({"_cursor": stored % self._capacity})
+        if self.prioritised:
+            sampler = self._sampler.state_dict()
+            indices = torch.arange(len(self))
+            for tree in ("_sum_tree", "_min_tree"):
+                sampler[tree][indices] = state["powered_priority"]
+            sampler["_max_priority"] = (state["max_priority"], None)
+            self._sampler.load_state_dict(sampler)
+
+    def close(self) -> None:
+        """Remove the file."""
+        self._rows = None
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _extend(self, rows: Tensor) -> None:
+        self._buffer.extend(rows)
+        self.stored += len(rows)
+        if self._rows is None:
+            # A plain view of the mapped file: indexing TorchRL's own tensor subclass costs four times as much.
+            self._rows = torch.from_numpy(self._storage._storage.numpy())
+
+    def _gather_rows(self, index: Tensor) -> Tensor:
+        assert self._rows is not None
+        return self._rows.index_select(0, index)
+
+    def _gather(self, index: Tensor) -> tuple[Tensor, ...]:
+        return self._gather_rows(index).split(self._split, dim=-1)
+
+
+def check_free_space(folder: Path, needed: int) -> None:
+    """Raise UserError if the disk of ``folder`` has less than ``needed`` bytes free."""
+    free = shutil.disk_usage(folder).free
+    if needed > free:
+        raise UserError(
+            f"replay memory needs {needed / 1e9:.1f} GB of disk, its checkpoints included, and {folder} has "
+            f"{free / 1e9:.1f} GB free; "
+            "use a smaller --replay.capacity"
+        )

@@ -1,0 +1,86 @@
+"""Evaluation: an exact number of episodes on parallel environments, each with its own seed."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from nerf_rl.metrics import wilson_interval
+from nerf_rl.rl.environments.make import reset_some
+
+Act = Callable[[ndarray], ndarray]
+"""From observations [E, O] to actions [E, A]."""
+
+
+@dataclass
+class Episodes:
+    """What N evaluated episodes gave, in the order of their seeds."""
+
+    success: Bool[ndarray, "N"]
+    """at any step"""
+    returns: Float[ndarray, "N"]
+    """sum of rewards until the episode was stopped"""
+    length: Int[ndarray, "N"]
+    """environment steps until the episode was stopped"""
+
+    def summary(self) -> dict[str, Any]:
+        """Return the counts and rates of ``summary.json``; the interval is Wilson's, 95 %."""
+        low, high = wilson_interval(int(self.success.sum()), len(self.success))
+        return {
+            "episodes": len(self.success),
+            "success_rate": float(self.success.mean()),
+            "ci_low": low,
+            "ci_high": high,
+            "mean_return": float(self.returns.mean()),
+        }
+
+
+def evaluation_seeds(seed: int, episodes: int) -> list[int]:
+    """Return the seeds of ``episodes`` evaluation episodes; the first of them do not depend on how many follow."""
+    return [int(np.random.default_rng([seed, 1_000_003, i]).integers(2**31)) for i in range(episodes)]
+
+
+def training_seed(seed: int, env: int, episode: int) -> int:
+    """Return the seed of one training episode."""
+    return int(np.random.default_rng([seed, env, episode, 7]).integers(2**31))
+
+
+def run_episodes(envs: gymnasium.vector.VectorEnv, act: Act, seeds: Sequence[int], to_end: bool = False) -> Episodes:
+    """Run one episode for each seed and stop it at its first success, or at its end.
+
+    An environment that is done takes the next seed, so the result depends neither on their number nor on their speed.
+    When seeds run out, an idle environment is stepped along and not counted.
+
+    Args:
+        envs: with autoreset disabled; running episodes are abandoned.
+        act: the deterministic policy.
+        seeds: of the episodes.
+        to_end: go on after a success.
+    """
+    count, waiting = envs.num_envs, list(range(len(seeds)))
+    success, length = np.zeros(len(seeds), np.bool_), np.zeros(len(seeds), np.int64)
+    returns = np.zeros(len(seeds), np.float64)
+    episode: list[int | None] = [None] * count
+    slot_seeds = [seeds[0]] * count
+    restart = np.ones(count, np.bool_)
+    while True:
+        for env in np.flatnonzero(restart).tolist():
+            episode[env] = waiting.pop(0) if waiting else None
+            slot_seeds[env] = seeds[episode[env] or 0]
+        if all(index is None for index in episode):
+            return Episodes(success, returns, length)
+        if restart.any():
+            observation = reset_some(envs, restart, slot_seeds)
+        observation, reward, terminated, truncated, info = envs.step(act(observation))
+        restart = terminated | truncated
+        for env, index in enumerate(episode):
+            if index is None:
+                continue
+            returns[index] += reward[env]
+            length[index] += info["env_steps"][env]
+            success[index] |= bool(info["success"][env])
+            restart[env] |= success[index] and not to_end

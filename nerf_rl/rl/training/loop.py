@@ -1,0 +1,260 @@
+"""The training loop: workers step and render while the learner updates."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from jaxtyping import Float
+from numpy import ndarray
+
+from nerf_rl.errors import UserError
+from nerf_rl.machine.devices import resolve_device
+from nerf_rl.progress import Progress
+from nerf_rl.rl.agents.ddpg import DDPG
+from nerf_rl.rl.config import TrainRLConfig
+from nerf_rl.rl.environments.goals import GoalTask
+from nerf_rl.rl.environments.make import reset_some
+from nerf_rl.rl.experience.hindsight import Hindsight
+from nerf_rl.rl.experience.n_step import NStep
+from nerf_rl.rl.experience.noise import HeldActions, Noise, linear_schedule
+from nerf_rl.rl.experience.replay import Replay
+from nerf_rl.rl.experience.replay_chunks import count_rows, load_rows, most_rows, save_rows
+from nerf_rl.rl.training.checkpoint import (
+    agent_tensors,
+    last_checkpoint,
+    load_agent_tensors,
+    load_checkpoint,
+    save_checkpoint,
+    strip_prefix,
+)
+from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes, training_seed
+from nerf_rl.rl.training.records import MetricsLog
+
+_STEP_TIMEOUT = 300.0  # [s] a worker that is silent for so long has hung
+
+
+class Trainer:
+    """Trains an agent on parallel environments.
+
+    Episodes are broken off (as truncations) at every evaluation and checkpoint, and new ones are started. All that a
+    checkpoint has to hold is thereby in this process, and a resumed run repeats the uninterrupted one exactly.
+
+    Args:
+        config: of the run.
+        envs: with autoreset disabled, actions in [-1, 1].
+        run: the run folder.
+        goal_task: for hindsight relabelling; without one there is none.
+
+    Attributes:
+        episodes: training episodes that have ended or were broken off.
+        evaluations: results so far, as in ``summary.json``.
+    """
+
+    def __init__(
+        self, config: TrainRLConfig, envs: gymnasium.vector.VectorEnv, run: Path, goal_task: GoalTask | None = None
+    ):
+        self._config, self._envs, self._run = config, envs, run
+        torch.set_num_threads(config.threads)
+        torch.manual_seed(config.seed)
+        self._rng = np.random.default_rng([config.seed, 0])
+        count, learner = envs.num_envs, config.learner
+        self.observation_size = int(np.prod(envs.single_observation_space.shape or ()))
+        self.action_size = int(np.prod(envs.single_action_space.shape or ()))
+        self.agent = DDPG(
+            self.observation_size, self.action_size, config.network, learner, resolve_device(config.device)
+        )
+        self._checkpoint = last_checkpoint(run) if config.resume else None
+        sizes = (self.observation_size, self.action_size, learner.batch_size)
+        self.replay = Replay(config.replay, *sizes, run / "replay", config.seed, self._checkpoint_rows())
+        steps = -(-config.episode_steps // config.action_repeat)
+        self._noise = Noise(config.noise, count, self.action_size, steps, self._rng)
+        self._held = HeldActions(count, self.action_size, config.noise.hold_steps, self._rng, config.noise.hold_kind)
+        self._n_steps = [NStep(learner.n_step, learner.gamma) for _ in range(count)]
+        self._hindsight = self._make_hindsight(goal_task)
+        self._length = np.zeros(count, np.int64)
+        self._episode_index, self._returns, self._success = [0] * count, np.zeros(count), np.zeros(count, np.bool_)
+        self.env_steps, self.episodes, self._credit = 0, 0, 0.0
+        self._seconds_before, self._start = 0.0, time.monotonic()
+        self.evaluations: list[dict[str, Any]] = []
+        if self._checkpoint is not None:
+            self._load(self._checkpoint)
+        self.metrics = MetricsLog(run / "metrics.csv", self.env_steps)
+
+    @property
+    def seconds(self) -> float:
+        """Time spent so far, including that before an interruption [s]."""
+        return self._seconds_before + time.monotonic() - self._start
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run has had its environment steps, or its episodes."""
+        config = self._config
+        return self.env_steps >= config.env_steps or 0 < config.episodes <= self.episodes
+
+    def train(self, progress: Progress, until: int) -> None:
+        """Go on until ``until`` environment steps are done or the run is finished; then the episodes are broken off.
+
+        Args:
+            progress: advanced by environment steps.
+        """
+        observation = self._restart(np.ones(self._envs.num_envs, np.bool_))
+        last_log, last_updates, last_seconds = self.env_steps, self.agent.updates, self.seconds
+        while self.env_steps < until and not self.finished:
+            before = self.env_steps
+            observation = self._step(observation)
+            progress.advance(self.env_steps - before)
+            if self.env_steps - last_log >= self._config.log_every or self.env_steps >= until or self.finished:
+                rate = (self.agent.updates - last_updates) / max(self.seconds - last_seconds, 1e-9)
+                self._log(rate)
+                last_log, last_updates, last_seconds = self.env_steps, self.agent.updates, self.seconds
+        for n_step in self._n_steps:
+            self.replay.add(n_step.cut())
+        for hindsight in self._hindsight:
+            self.replay.add(hindsight.cut())
+        self.episodes += int((self._length > 0).sum())
+
+    def evaluate(self, episodes: int) -> dict[str, Any]:
+        """Run evaluation episodes with the current policy; return and keep the result."""
+        seeds = evaluation_seeds(0, episodes)
+        result = run_episodes(self._envs, self.agent.act, seeds, self._config.evaluation_to_end).summary()
+        self.evaluations.append({"env_steps": self.env_steps, "training_episodes": self.episodes, **result})
+        return self.evaluations[-1]
+
+    def save(self) -> None:
+        """Write a checkpoint; call it only between two calls of :meth:`train`."""
+        tensors = {f"agent.{name}": tensor for name, tensor in agent_tensors(self.agent).items()}
+        tensors |= {f"replay.{name}": tensor for name, tensor in self.replay.bookkeeping().items()}
+        facts = {
+            "env_steps": self.env_steps,
+            "updates": self.agent.updates,
+            "episodes": self.episodes,
+            "credit": self._credit,
+            "episode_index": self._episode_index,
+            "seconds": self.seconds,
+            "rng": self._rng.bit_generator.state,
+            "evaluations": self.evaluations,
+        }
+        before = self._checkpoint
+        self._checkpoint = save_checkpoint(
+            self._run, self.env_steps, tensors, facts, lambda folder: save_rows(self.replay, folder, before)
+        )
+
+    def _load(self, checkpoint: Path) -> None:
+        tensors, facts = load_checkpoint(checkpoint)
+        if len(facts["episode_index"]) != self._envs.num_envs:
+            raise UserError(f"{checkpoint} is of a run with {len(facts['episode_index'])} --envs")
+        load_agent_tensors(self.agent, strip_prefix(tensors, "agent"), checkpoint)
+        replay = strip_prefix(tensors, "replay")
+        if "stored" not in replay or replay["stored"].numel() != 1 or int(replay["stored"]) < 1:
+            raise UserError(
+                f"{checkpoint} is damaged, or of another version of nerf-rl; train again with --overwrite true"
+            )
+        stored = int(replay["stored"])
+        oldest = max(0, stored - self._config.replay.capacity)
+        self.replay.load_state(replay | {"rows": load_rows(checkpoint, oldest, stored)}, checkpoint)
+        self.env_steps, self.agent.updates, self.episodes = facts["env_steps"], facts["updates"], facts["episodes"]
+        self._credit, self._episode_index = facts["credit"], facts["episode_index"]
+        self._seconds_before, self.evaluations = facts["seconds"], facts["evaluations"]
+        self._rng.bit_generator.state = facts["rng"]
+
+    def _checkpoint_rows(self) -> int:
+        """Return about how many rows of replay memory checkpoints will hold, beyond those that they hold already."""
+        config = self._config
+        rows_per_step = (1 + config.replay.hindsight) / config.action_repeat
+        between, total = (int(steps * rows_per_step) for steps in (config.checkpoint_every, config.env_steps))
+        held = 0 if self._checkpoint is None else count_rows(self._checkpoint)
+        return max(0, most_rows(config.replay.capacity, between, total) - held)
+
+    def _make_hindsight(self, task: GoalTask | None) -> list[Hindsight]:
+        """Return a collector for each environment, or none."""
+        replay, learner = self._config.replay, self._config.learner
+        if not replay.hindsight or task is None:
+            return []
+
+        def draw_goals(count: int) -> ndarray:
+            return task.achieved(self.replay.observations(self._rng.integers(len(self.replay), size=count)))
+
+        draw = (draw_goals, replay.hindsight_random) if replay.hindsight_random else ()
+        arguments = (task, replay.hindsight, learner.n_step, learner.gamma, self._rng, *draw)
+        return [Hindsight(*arguments) for _ in range(self._envs.num_envs)]
+
+    def _restart(self, which: ndarray) -> Float[ndarray, "E O"]:
+        """Start new episodes where ``which`` [E] is true; return all observations."""
+        seeds = [training_seed(self._config.seed, env, index) for env, index in enumerate(self._episode_index)]
+        for env in np.flatnonzero(which).tolist():
+            self._episode_index[env] += 1
+            self._returns[env], self._success[env], self._length[env] = 0.0, False, 0
+            self._noise.reset(env)
+            self._held.reset(env, self._decayed(self._config.noise.hold_start))
+        return reset_some(self._envs, which, seeds)
+
+    def _step(self, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E O"]:
+        """Act once in every environment, learning meanwhile; return the next observations."""
+        action = self._explore(observation)
+        self._envs.step_async(action)  # type: ignore[attr-defined]
+        self._learn()
+        stepped = self._envs.step_wait(timeout=_STEP_TIMEOUT)  # type: ignore[attr-defined]
+        next_observation, reward, terminated, truncated, info = stepped
+        for env, n_step in enumerate(self._n_steps):
+            step = (observation[env], action[env], float(reward[env]), next_observation[env])
+            self.replay.add(n_step.push(*step, bool(terminated[env]), bool(truncated[env])))
+        for env, hindsight in enumerate(self._hindsight):
+            ended = bool(terminated[env] or truncated[env])
+            self.replay.add(hindsight.push(observation[env], action[env], next_observation[env], ended))
+        self.agent.update_statistics(next_observation)
+        self.env_steps += int(info["env_steps"].sum())
+        self._returns += reward
+        self._length += info["env_steps"]
+        self._success |= info["success"].astype(np.bool_)
+        done = terminated | truncated
+        if not done.any():
+            return next_observation
+        for env in np.flatnonzero(done).tolist():
+            self.episodes += 1
+            self.metrics.gather(
+                {
+                    "episode_return": self._returns[env],
+                    "episode_length": float(self._length[env]),
+                    "episode_success": float(self._success[env]),
+                }
+            )
+        return self._restart(done)
+
+    def _explore(self, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E A"]:
+        """Return random actions in the warm-up, then the policy's with noise; some of either are held random ones."""
+        config = self._config
+        if self.env_steps < config.warmup_steps:
+            random = self._rng.uniform(-1.0, 1.0, (self._envs.num_envs, self.action_size)).astype(np.float32)
+            return self._held.override(random, 0.8)
+        noisy = np.clip(self.agent.act(observation) + self._noise.sample(self.env_steps), -1.0, 1.0)
+        return self._held.override(noisy.astype(np.float32), self._decayed(config.noise.hold_share))
+
+    def _decayed(self, start: float) -> float:
+        return linear_schedule(start, 0.0, self._config.noise.decay_steps, self.env_steps)
+
+    def _learn(self) -> None:
+        """Do the updates that the steps so far are worth."""
+        config = self._config
+        starts = config.warmup_steps if config.learning_starts is None else config.learning_starts
+        if self.env_steps < starts or len(self.replay) < config.learner.batch_size:
+            return
+        self._credit += config.learner.updates_per_step * self._envs.num_envs
+        while self._credit >= 1.0:
+            self.metrics.gather(self.agent.update(self.replay, self._beta()))
+            self._credit -= 1.0
+
+    def _beta(self) -> float:
+        return linear_schedule(self._config.replay.beta, 1.0, self._config.env_steps, self.env_steps)
+
+    def _log(self, updates_per_second: float) -> None:
+        self.metrics.write(
+            env_steps=self.env_steps,
+            seconds=self.seconds,
+            episodes=self.episodes,
+            noise=self._noise.scale(self.env_steps),
+            beta=self._beta(),
+            updates_per_second=updates_per_second,
+        )

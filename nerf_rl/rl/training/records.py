@@ -1,0 +1,81 @@
+"""What a training run writes for people: metrics.csv, summary.json and the learning curve."""
+
+import csv
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nerf_rl.files.atomic import atomic_write, write_text
+
+COLUMNS = (
+    "env_steps",
+    "seconds",
+    "episodes",
+    "episode_return",
+    "episode_length",
+    "episode_success",
+    "noise",
+    "beta",
+    "critic_loss",
+    "q",
+    "td_error",
+    "critic_gradient",
+    "actor_loss",
+    "pre_tanh",
+    "actor_gradient",
+    "updates_per_second",
+)
+
+
+class MetricsLog:
+    """Means of scalars between two rows of ``metrics.csv``.
+
+    Args:
+        path: the file; rows beyond ``env_steps`` are dropped, so that a resumed run has each step once.
+        env_steps: where the run goes on.
+    """
+
+    def __init__(self, path: Path, env_steps: int = 0):
+        self._path = path
+        rows = []
+        if env_steps and path.is_file():
+            with open(path, newline="", encoding="utf-8") as file:
+                rows = [row for row in csv.DictReader(file) if int(row["env_steps"]) <= env_steps]
+        text = io.StringIO()
+        writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        write_text(path, text.getvalue())
+        self._gathered: dict[str, list[float]] = {}
+
+    def gather(self, scalars: dict[str, float]) -> None:
+        """Take scalars in."""
+        for name, value in scalars.items():
+            self._gathered.setdefault(name, []).append(value)
+
+    def write(self, **now: float | int) -> None:
+        """Append a row: the means of what was gathered since the last one, and the values of ``now``."""
+        row: dict[str, float | int] = {n: float(np.mean(values)) for n, values in self._gathered.items()}
+        row |= now
+        self._gathered = {}
+        with open(self._path, "a", newline="", encoding="utf-8") as file:
+            formatted = {name: f"{value:.6g}" if isinstance(value, float) else value for name, value in row.items()}
+            csv.DictWriter(file, COLUMNS, lineterminator="\n").writerow(formatted)
+
+
+def draw_learning_curve(path: Path, evaluations: list[dict[str, Any]], title: str) -> None:
+    """Draw success rate, with its 95 % interval, and return over environment steps."""
+    from matplotlib.figure import Figure  # takes half a second to import
+
+    figure = Figure(figsize=(8, 3), layout="constrained")
+    success, returns = figure.subplots(1, 2)
+    steps = [e["env_steps"] for e in evaluations]
+    success.plot(steps, [e["success_rate"] for e in evaluations], marker="o")
+    success.fill_between(steps, [e["ci_low"] for e in evaluations], [e["ci_high"] for e in evaluations], alpha=0.2)
+    success.set(ylim=(-0.03, 1.03), xlabel="environment steps", ylabel="success rate", title=title)
+    returns.plot(steps, [e["mean_return"] for e in evaluations], marker="o", color="tab:orange")
+    returns.set(xlabel="environment steps", ylabel="mean return until success")
+    with atomic_write(path) as aside:
+        figure.savefig(aside, format="png", dpi=120)

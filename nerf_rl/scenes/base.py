@@ -1,0 +1,105 @@
+"""What a scene is: a MuJoCo environment with named state columns."""
+
+import functools
+import hashlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from nerf_rl.cameras.rig_config import CameraConfig
+from nerf_rl.scenes.body_parts import BodyParts
+from nerf_rl.scenes.render_data import RenderData
+from nerf_rl.scenes.workspace import Workspace
+
+METAWORLD, GYM = "metaworld/", "gym/"
+"""what the names of scenes begin with"""
+
+Policy = Callable[[Any], ndarray]
+"""From an observation to an action [A] in [-1, 1]."""
+
+
+class Scene(ABC):
+    """A MuJoCo environment behind the Gymnasium interface, with names for what it holds."""
+
+    name: str
+    """the name that :func:`nerf_rl.scenes.make.make_scene` takes"""
+    env: gymnasium.Env
+    """``reset(seed=...)`` decides everything random in the episode"""
+    parts: BodyParts
+    """which bodies are the robot, its gripper and the surroundings"""
+    proprio_names: tuple[str, ...]
+    """what the robot knows of itself"""
+    privileged_names: tuple[str, ...]
+    """what only the simulator knows: hand, objects and goal [m]"""
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The simulated model."""
+        return self.env.unwrapped.model  # type: ignore[attr-defined]
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """The simulation's state."""
+        return self.env.unwrapped.data  # type: ignore[attr-defined]
+
+    def render_data(self) -> mujoco.MjData:
+        """Return the state to be drawn, with positions propagated from ``qpos``; the simulation is untouched."""
+        return self._render_data.of(self.data)
+
+    @functools.cached_property
+    def _render_data(self) -> RenderData:
+        return RenderData(self.model)
+
+    @abstractmethod
+    def proprio(self, observation: Any) -> Float[ndarray, "P"]:
+        """Return the values of ``proprio_names``."""
+
+    @abstractmethod
+    def privileged(self, observation: Any) -> Float[ndarray, "Q"]:
+        """Return the values of ``privileged_names``."""
+
+    @abstractmethod
+    def workspace(self) -> Workspace:
+        """Return where something happens, after a reset."""
+
+    @abstractmethod
+    def default_cameras(self) -> list[CameraConfig]:
+        """Return cameras that suit the scene."""
+
+    @abstractmethod
+    def observation(self) -> Any:
+        """Return the environment's observation of its present state."""
+
+    def scripted_policy(self) -> Policy | None:
+        """Return a fresh instance of the task's scripted policy, or None if it has none."""
+        return None
+
+    def set_state(
+        self,
+        qpos: Float[ndarray, "nq"],
+        qvel: Float[ndarray, "nv"],
+        mocap_pos: Float[ndarray, "nmocap 3"] | None = None,
+        mocap_quat: Float[ndarray, "nmocap 4"] | None = None,
+    ) -> None:
+        """Put the simulation into a state and propagate positions."""
+        self.data.qpos[:], self.data.qvel[:] = qpos, qvel
+        if mocap_pos is not None and mocap_quat is not None:
+            self.data.mocap_pos[:], self.data.mocap_quat[:] = mocap_pos, mocap_quat
+        mujoco.mj_forward(self.model, self.data)
+
+    def provenance(self) -> dict[str, Any]:
+        """Return what identifies the scene."""
+        return {"name": self.name, "mujoco": mujoco.__version__}
+
+
+def model_digest(model: mujoco.MjModel) -> str:
+    """Return the SHA-256 of a compiled model, which covers meshes and textures that an MJCF file refers to."""
+    buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return hashlib.sha256(buffer.tobytes()).hexdigest()

@@ -1,0 +1,52 @@
+"""Any Gymnasium environment on MuJoCo as a scene."""
+
+import warnings
+from importlib.metadata import version
+from typing import Any
+
+import gymnasium
+import mujoco
+from gymnasium.envs.registration import registry
+
+from nerf_rl.errors import UnknownNameError, UserError
+from nerf_rl.scenes.base import GYM
+from nerf_rl.scenes.structured import StructuredScene
+
+_MUJOCO_ENTRY = "mujoco"
+
+
+class GymScene(StructuredScene):
+    """A Gymnasium environment whose ``unwrapped`` has MuJoCo's ``model`` and ``data``.
+
+    Args:
+        name: its id, such as ``Ant-v5``, or ``MODULE:ID`` if a module has to be imported first to register it.
+
+    Raises:
+        UserError: there is no such environment, it cannot be made, or it is not on MuJoCo.
+    """
+
+    def __init__(self, name: str):
+        self.name = GYM + name
+        module, _, bare = name.rpartition(":")
+        if not module and bare not in registry:
+            known = [key for key, spec in registry.items() if _MUJOCO_ENTRY in str(spec.entry_point)]
+            raise UnknownNameError("Gymnasium environment on MuJoCo", bare, known)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # on versions of environments, and on observations beyond the space
+                self.env = gymnasium.make(name, disable_env_checker=True)
+        except Exception as error:  # environments raise all sorts of things for packages that they miss
+            raise UserError(f"Gymnasium environment '{name}' cannot be made: {' '.join(str(error).split())}") from error
+        simulation: Any = self.env.unwrapped
+        if not isinstance(getattr(simulation, "model", None), mujoco.MjModel):
+            raise UserError(f"Gymnasium environment '{name}' is not on MuJoCo: it has no mujoco.MjModel")
+        super().__init__()
+
+    def observation(self) -> Any:
+        """Return the environment's observation of its present state, or nothing if it cannot tell."""
+        observe = getattr(self.env.unwrapped, "_get_obs", None)
+        return None if observe is None else observe()
+
+    def provenance(self) -> dict[str, Any]:
+        """Return name, versions and the digest of the model."""
+        return {**super().provenance(), "gymnasium": version("gymnasium")}

@@ -1,0 +1,48 @@
+"""Named columns of a state for models of which nothing but their structure is known."""
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from nerf_rl.scenes.body_parts import BodyParts, can_travel, chain
+
+_SCALAR_JOINTS = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+
+
+class StateColumns:
+    """What the robot knows of itself, and what only the simulator knows.
+
+    The first are position [rad or m] and velocity [rad/s or m/s] of each hinge and slide of the robot's, after the
+    joints' names. The second are the positions [m] of the robot's root if it travels, of its grippers, and of every
+    other body that moves by a joint of its own, after the bodies' names.
+
+    Args:
+        model: of the scene.
+        parts: which of its bodies are the robot.
+    """
+
+    def __init__(self, model: mujoco.MjModel, parts: BodyParts):
+        joints = [
+            joint
+            for joint in range(model.njnt)
+            if model.jnt_type[joint] in _SCALAR_JOINTS and model.body_rootid[model.jnt_bodyid[joint]] in parts.robot
+        ]
+        self._qpos, self._qvel = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+        names = [model.joint(joint).name or f"joint_{joint}" for joint in joints]
+        self.proprio_names = (*names, *(f"{name}_velocity" for name in names))
+
+        moved = {int(model.jnt_bodyid[joint]) for joint in range(model.njnt)}
+        roots = [root for root in parts.robot if can_travel(model, root)]
+        objects = [body for body in sorted(moved) if not set(chain(model, body)) & set(parts.robot)]
+        self._bodies = list(dict.fromkeys([*roots, *parts.gripper, *objects]))
+        labels = [model.body(body).name.removesuffix("_link") or f"body_{body}" for body in self._bodies]
+        self.privileged_names = tuple(f"{label}_{axis}" for label in labels for axis in "xyz")
+
+    def proprio(self, data: mujoco.MjData) -> Float[ndarray, "P"]:
+        """Return the values of ``proprio_names``."""
+        return np.concatenate([data.qpos[self._qpos], data.qvel[self._qvel]])
+
+    def privileged(self, data: mujoco.MjData) -> Float[ndarray, "Q"]:
+        """Return the values of ``privileged_names``; positions must be propagated."""
+        return data.xpos[self._bodies].ravel()

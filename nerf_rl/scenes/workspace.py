@@ -1,0 +1,56 @@
+"""Where in a scene something happens: the ball that cameras are fitted to."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+DRAWN_GROUPS = 3  # MuJoCo draws geoms of groups 0, 1 and 2
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """A ball around what moves.
+
+    Attributes:
+        centre: in the world [m].
+        radius: of the ball [m].
+        floating_base: body that may carry the ball away, such as the torso of a robot that walks; empty if there is
+            none.
+        from_floating_base: where the middle is, as seen from that body, in the world's axes [m].
+    """
+
+    centre: Float[ndarray, "3"]
+    radius: float
+    floating_base: str = ""
+    from_floating_base: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def distance(self, fovy_deg: float) -> float:
+        """Return from how far a camera with this field of view [degrees] sees the whole ball [m]."""
+        return self.radius / float(np.sin(np.deg2rad(fovy_deg) / 2.0))
+
+
+def is_drawn(model: mujoco.MjModel, geom: int) -> bool:
+    """Tell whether a geom can be seen."""
+    return bool(model.geom_group[geom] < DRAWN_GROUPS and model.geom_rgba[geom, 3] > 0)
+
+
+def fit_workspace(model: mujoco.MjModel, data: mujoco.MjData) -> Workspace:
+    """Return the ball around all drawn geoms of bodies that can move, or around all geoms that end if nothing moves.
+
+    Args:
+        model: of the scene.
+        data: its state, with positions propagated.
+    """
+    drawn = [geom for geom in range(model.ngeom) if is_drawn(model, geom) and model.geom_rbound[geom] > 0]
+    moving = [geom for geom in drawn if model.body_weldid[model.geom_bodyid[geom]] != 0]
+    chosen = moving or drawn
+    if not chosen:
+        return Workspace(np.array(model.stat.center, np.float64), float(model.stat.extent))
+    centres, radii = data.geom_xpos[chosen], model.geom_rbound[chosen, None]
+    low, high = (centres - radii).min(0), (centres + radii).max(0)
+    centre = (low + high) / 2.0
+    radius = (np.linalg.norm(centres - centre, axis=1) + radii[:, 0]).max()
+    return Workspace(centre, float(radius))

@@ -1,0 +1,39 @@
+"""Pruning of poor whales."""
+
+import numpy as np
+from optuna import Study
+from optuna.pruners import BasePruner
+from optuna.study import StudyDirection
+from optuna.trial import FrozenTrial, TrialState
+
+from nerf_rl.tuning.sampler import slot_of
+
+
+class EarlierMedianPruner(BasePruner):
+    """Optuna's median rule among earlier generations: stop a trial whose best value so far is below their median.
+
+    Trials of the same generation do not count, so what is pruned does not depend on which of them was faster.
+
+    Args:
+        startup_trials: finished trials of earlier generations without which nothing is pruned.
+        warmup_steps: steps before which nothing is pruned.
+    """
+
+    def __init__(self, startup_trials: int = 4, warmup_steps: int = 0):
+        self._startup_trials, self._warmup_steps = startup_trials, warmup_steps
+
+    def prune(self, study: Study, trial: FrozenTrial) -> bool:
+        """Tell whether to stop a trial after its last reported value."""
+        step, slot = trial.last_step, slot_of(trial)
+        if step is None or slot is None or step < self._warmup_steps:
+            return False
+        sign = -1.0 if study.direction == StudyDirection.MINIMIZE else 1.0
+        earlier = [
+            sign * other.intermediate_values[step]
+            for other in study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+            if step in other.intermediate_values and (held := slot_of(other)) is not None and held[0] < slot[0]
+        ]
+        if len(earlier) < self._startup_trials:
+            return False
+        own = [sign * value for at, value in trial.intermediate_values.items() if at <= step]
+        return not np.nanmax([-np.inf, *own]) >= np.nanmedian(earlier)

@@ -1,0 +1,130 @@
+"""``nerf-rl tune``: search the keys of train-rl on any number of processes and machines."""
+
+import dataclasses
+import json
+import shutil
+import time
+from pathlib import Path
+from typing import Any
+
+import optuna
+from optuna.storages import BaseStorage
+
+from nerf_rl.arguments.stored_keys import require_same_keys, with_defaults
+from nerf_rl.errors import UserError
+from nerf_rl.files.json_files import read_json
+from nerf_rl.files.runs import PROVENANCE, check_output, plain, prepare_output, write_provenance
+from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
+from nerf_rl.rl.environments.encoder_match import check_encoder_scene
+from nerf_rl.tuning.config import TuneConfig
+from nerf_rl.tuning.objective import TrainingObjective, runs_of
+from nerf_rl.tuning.recipe import check_space
+from nerf_rl.tuning.results import BEST, write_results
+from nerf_rl.tuning.search import Search, search_of
+from nerf_rl.tuning.storage import open_storage
+from nerf_rl.tuning.supervisor import supervise
+from nerf_rl.tuning.worker import Task
+
+_CONTENT, _ITERATIONS = "content", "iterations"
+_RUN = "train-rl's "
+"""before keys of train-rl, beside those of tune"""
+
+
+def tune(config: TuneConfig) -> dict[str, Any]:
+    """Search hyper-parameters into the folder ``config.out``; return the summary.
+
+    Raises:
+        UserError: a key or range that train-rl refuses, a storage that cannot be opened or holds another search.
+        StudyFailedError: trials or workers keep failing.
+    """
+    start, out = time.monotonic(), Path(config.out)
+    base = check_space(config)
+    trials = trials_of(config, base)
+    if base.encoder != NO_ENCODER:
+        check_encoder_scene(base.encoder, base.scene)
+    begun = _is_search(out)
+    if begun and config.resume:
+        require_same_keys(out, {**config.content(), "storage": config.storage, "study": config.study}, TuneConfig)
+    check_output(out, config.overwrite, config.resume, begun, "tune")
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    content = _content(config, base)
+    if config.storage:  # a storage that others share is looked at before anything is written
+        _join(open_storage(config.storage, out), config, content)
+    prepare_output(out, config.overwrite, config.resume, begun, "tune")
+    write_provenance(out, "tune", config)
+    storage = open_storage(config.storage, out)
+    study, search = open_study(storage, config, content, search_of(config, trials, base.env_steps))
+    first = len(study.get_trials(deepcopy=False))
+    print(f"tune writes to {out}; {trials} trials of {config.seeds * base.env_steps} environment steps", flush=True)
+    task = Task(TrainingObjective(config), search, config.out, config.storage, config.study, trials, first)
+    study = supervise(task, config.workers)
+    if not config.keep_runs:
+        shutil.rmtree(runs_of(config.out), ignore_errors=True)  # what killed trials left
+    summary = write_results(study, config, time.monotonic() - start)
+    best = (
+        f"best {config.fitness} {summary['best_value']:.4g}" if summary["best_trial"] is not None else "no trial ended"
+    )
+    print(f"{best}; {summary['env_steps']} environment steps in all; see {out / BEST}", flush=True)
+    return summary
+
+
+def trials_of(config: TuneConfig, base: TrainRLConfig) -> int:
+    """Return how many trials there are to be, from their number or from a budget of environment steps."""
+    if not config.env_steps_total:
+        return config.trials
+    trials = config.env_steps_total // (base.env_steps * config.seeds)
+    if trials < 1:
+        each = f"{config.seeds} x {base.env_steps} environment steps"
+        raise UserError(f"--env_steps_total {config.env_steps_total} is less than one trial of {each}")
+    return trials
+
+
+def open_study(
+    storage: BaseStorage, config: TuneConfig, content: dict[str, Any], search: Search
+) -> tuple[optuna.Study, Search]:
+    """Create or join the study; return it with its search.
+
+    The generations over which whales narrow their search are counted when the study is created, so that a study that is
+    resumed or shared with another number of trials proposes what it would have.
+    """
+    study = _join(storage, config, content)
+    if study is None:
+        study = optuna.create_study(storage=storage, study_name=config.study, direction="maximize", load_if_exists=True)
+        study.set_user_attr(_ITERATIONS, search.iterations)
+        study.set_user_attr(_CONTENT, content)
+    return study, dataclasses.replace(search, iterations=study.user_attrs[_ITERATIONS])
+
+
+def _join(storage: BaseStorage, config: TuneConfig, content: dict[str, Any]) -> optuna.Study | None:
+    """Return the study if the storage has it; raise UserError if it is another search."""
+    if config.study not in [summary.study_name for summary in optuna.get_all_study_summaries(storage)]:
+        return None
+    study = optuna.load_study(study_name=config.study, storage=storage)
+    if _CONTENT not in study.user_attrs:
+        raise UserError(f"the study {config.study} in --storage was not made by tune; use another --study")
+    stored = study.user_attrs[_CONTENT]
+    complete = _with_defaults(stored)
+    other = sorted(key for key in {*stored, *content} if complete.get(key) != content.get(key))
+    if other:
+        raise UserError(f"the study {config.study} was begun with another {', '.join(other)}; use another --study")
+    return study
+
+
+def _content(config: TuneConfig, base: TrainRLConfig) -> dict[str, Any]:
+    """Return what machines that share a study must agree on; recipes count by what is in them."""
+    run = {key: value for key, value in plain(base).items() if key not in ("out", "resume", "overwrite")}
+    keys = {key: value for key, value in config.content().items() if key not in ("recipe", "overrides", "algo")}
+    return json.loads(json.dumps({**plain(keys), **{f"{_RUN}{key}": value for key, value in run.items()}}))
+
+
+def _with_defaults(content: dict[str, Any]) -> dict[str, Any]:
+    """Return what a study was begun with, with the keys that there were not yet."""
+    own = {key: value for key, value in content.items() if not key.startswith(_RUN)}
+    run = {key.removeprefix(_RUN): value for key, value in content.items() if key.startswith(_RUN)}
+    complete = with_defaults(run, TrainRLConfig)
+    return {**with_defaults(own, TuneConfig), **{f"{_RUN}{key}": value for key, value in complete.items()}}
+
+
+def _is_search(out: Path) -> bool:
+    """Tell whether the folder holds a search, finished or not."""
+    return (out / PROVENANCE).is_file() and read_json(out / PROVENANCE)["command"] == "tune"

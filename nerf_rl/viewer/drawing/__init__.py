@@ -1,0 +1,1 @@
+"""Pictures, charts and slides of a dataset."""

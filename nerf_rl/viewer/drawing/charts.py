@@ -1,0 +1,89 @@
+"""Charts as pictures, drawn by Matplotlib."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+
+from nerf_rl.datasets.storage.frames import EpisodeColumns
+from nerf_rl.viewer.drawing.statistics import Statistics
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def statistics_chart(statistics: Statistics, palette: UInt8[ndarray, "C 3"]) -> UInt8[ndarray, "A B 3"]:
+    """Return where episodes begin, and the share of each class in the pixels."""
+    figure = _figure(4.4, 5.6)
+    top, bottom = figure.subplots(2, 1, gridspec_kw={"height_ratios": [3, 2]})
+    for name, places in statistics.resets.items():
+        top.scatter(places[:, 0], places[:, 1], s=9, alpha=0.6, label=_literal(name))
+    top.set(
+        xlabel="x [m]",
+        ylabel="y [m]",
+        title="where episodes begin (first frames)",
+        aspect="equal",
+        adjustable="datalim",
+    )
+    if statistics.resets:
+        top.legend(fontsize=8)
+    names = list(statistics.class_shares)[::-1]
+    shares = [100 * statistics.class_shares[name] for name in names]
+    bars = bottom.barh([_literal(name) for name in names], shares, color=palette[::-1] / 255.0)
+    bottom.bar_label(bars, fmt="%.1f", padding=3, fontsize=8)
+    bottom.set(xlabel="share of pixels [%]")
+    bottom.margins(x=0.15)
+    return rasterise(figure)
+
+
+def columns_chart(columns: EpisodeColumns, now: float | None = None) -> UInt8[ndarray, "A B 3"]:
+    """Return the columns along an episode; ``now`` marks a step."""
+    figure = _figure(7.0, 3.2)
+    state, acted = figure.subplots(1, 2)
+    for name, values in columns.columns.items():
+        axes = acted if name.startswith("action") or name == "reward" else state
+        axes.plot(columns.steps, values, marker=".", label=_literal(name))
+    for axes in (state, acted):
+        axes.set(xlabel="environment step")
+        axes.legend(fontsize=6, ncols=2)
+        if now is not None:
+            axes.axvline(now, color="0.4", linewidth=1)
+    return rasterise(figure)
+
+
+def lines_chart(
+    lines: dict[str, Float[ndarray, "N"]], xlabel: str, now: float | None = None, x: ndarray | None = None
+) -> UInt8[ndarray, "A B 3"]:
+    """Return lines over 0, 1, 2, ... or ``x``, one panel each, below one another; ``now`` marks a place."""
+    figure = _figure(4.4, 1.3 * len(lines) + 0.4)
+    panels = np.atleast_1d(figure.subplots(len(lines), 1, sharex=True))
+    for axes, (name, values) in zip(panels, lines.items(), strict=True):
+        axes.plot(np.arange(len(values)) if x is None else x, values)
+        axes.set_ylabel(_literal(name), fontsize=8)
+        axes.tick_params(labelsize=7)
+        if now is not None:
+            axes.axvline(now, color="0.4", linewidth=1)
+    panels[-1].set_xlabel(xlabel, fontsize=8)
+    return rasterise(figure)
+
+
+def rasterise(figure: "Figure") -> UInt8[ndarray, "A B 3"]:
+    """Return a figure's pixels."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def _literal(name: str) -> str:
+    """Return a name such that Matplotlib draws it as it is: dollars begin no formula, an underscore hides no label."""
+    escaped = name.replace("$", r"\$")
+    return f" {escaped}" if escaped.startswith("_") else escaped
+
+
+def _figure(width: float, height: float) -> "Figure":
+    from matplotlib.figure import Figure  # takes half a second to import
+
+    return Figure(figsize=(width, height), dpi=100, layout="constrained")

@@ -1,0 +1,52 @@
+"""Each frame as one picture with a caption: what pages, contact sheets and videos are made of."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import UInt8
+from numpy import ndarray
+
+from nerf_rl.datasets.storage.frames import Frame, read_frame
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.viewer.drawing.pictures import caption, stack
+
+Picture = Callable[[Frame, int], UInt8[ndarray, "_ _ 3"]]
+"""From a frame and the number of a camera to its picture."""
+
+
+@dataclass(frozen=True)
+class Slide:
+    """A picture and what it shows."""
+
+    picture: UInt8[ndarray, "A B 3"]
+    caption: str
+
+
+def chosen_frames(dataset: MultiViewDataset, count: int) -> list[int]:
+    """Return frames evenly spread over a dataset, at most ``count``."""
+    return np.unique(np.linspace(0, len(dataset) - 1, min(count, len(dataset))).astype(int)).tolist()
+
+
+def dataset_slides(dataset: MultiViewDataset, frames: list[int], draw: Picture) -> Iterator[Slide]:
+    """Yield a slide a frame: every camera's picture under its name, in two columns."""
+    for index in frames:
+        frame = read_frame(dataset, index)
+        cells = []
+        for view, name in enumerate(dataset.camera_names):
+            picture = draw(frame, view)
+            cells.append(stack([caption(name, picture.shape[1]), picture], gap=0))
+        text = f"frame {index}, episode {frame.episode}, step {frame.step}, {frame.split}"
+        yield Slide(in_columns(cells, 2), text)
+
+
+def in_columns(cells: list[UInt8[ndarray, "A B 3"]], columns: int, gap: int = 8) -> UInt8[ndarray, "H W 3"]:
+    """Return pictures of one size in rows of ``columns``."""
+    blank = np.full_like(cells[0], 255)
+    padded = [*cells, *[blank] * (-len(cells) % columns)]
+    space = np.full((blank.shape[0], gap, 3), 255, np.uint8)
+    rows = []
+    for start in range(0, len(padded), columns):
+        parts = [part for cell in padded[start : start + columns] for part in (cell, space)][:-1]
+        rows.append(np.concatenate(parts, axis=1))
+    return stack(rows, gap)

@@ -1,0 +1,44 @@
+"""What a dataset holds as a whole, from a sample of its frames."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from nerf_rl.datasets.storage.frames import named_points
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.viewer.timeline import Timeline
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Of a dataset's sampled episodes."""
+
+    resets: dict[str, Float[ndarray, "E 2"]]
+    """horizontal position [m] of each named thing in the first frame of E episodes"""
+    class_shares: dict[str, float]
+    """share of all pixels of those frames"""
+
+
+def sample_statistics(dataset: MultiViewDataset, episodes: int = 200) -> Statistics:
+    """Return statistics of evenly spread episodes, from the first frame of each.
+
+    The cost depends on ``episodes``, not on the size of the dataset.
+    """
+    timeline = Timeline(dataset)
+    count = min(episodes, timeline.last - timeline.first + 1)
+    chosen = np.unique(np.linspace(timeline.first, timeline.last, count).astype(int))
+    resets: dict[str, list[tuple[float, float]]] = {}
+    pixels = np.zeros(len(dataset.class_names), np.int64)
+    for episode in chosen.tolist():
+        frame = timeline.frames(episode).start
+        values = dataset.read("state/privileged", [frame])[0]
+        for name, (x, y, _) in named_points(dataset.columns("privileged"), values).items():
+            resets.setdefault(name, []).append((x, y))
+        pixels += np.bincount(dataset.read_labels([frame]).ravel(), minlength=len(pixels))[: len(pixels)]
+    shares = (pixels / max(1, pixels.sum())).tolist()
+    return Statistics(
+        {name: np.array(places) for name, places in resets.items()},
+        dict(zip(dataset.class_names, shares, strict=True)),
+    )

@@ -1,0 +1,268 @@
+"""Rendering a radiance field for a camera that moves: coarse at once, fine where the coarse image saw something."""
+
+import functools
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from numpy import ndarray
+from torch import Tensor
+from torch.nn import functional as F
+
+from nerf_rl.cameras.geometry import camera_position, pixel_centres, pixel_directions
+from nerf_rl.pretrain.model.conditioned_field import ConditionedField
+from nerf_rl.pretrain.model.ray_rendering import RenderedImages
+from nerf_rl.pretrain.model.volume_rendering import (
+    composite,
+    even_samples,
+    importance_samples,
+    rendering_weights,
+    sample_spacings,
+)
+
+_BINS = 48  # of depth, in which coarse rays remember where they met something
+_COARSE_SAMPLES = 20
+_IMPORTANCE_SAMPLES = 10
+_OPAQUE = 0.03  # a ray that lets less than this through does without the backdrop
+_RAYS_PER_CHUNK = 2048
+_RAYS_PER_CHUNK_ON_GPU = 1 << 15
+_MOST_THREADS = 8
+
+
+@dataclass(frozen=True)
+class FreeCamera:
+    """A camera for people, in OpenCV's axes."""
+
+    camera_from_world: Float[ndarray, "4 4"]
+    fovy: float
+    """vertical field of view [rad]"""
+    aspect: float
+    """width over height"""
+
+    def shape(self, longer: int) -> tuple[int, int]:
+        """Return height and width [pixels] of an image whose longer side is given."""
+        if self.aspect >= 1.0:
+            return max(1, round(longer / self.aspect)), longer
+        return longer, max(1, round(longer * self.aspect))
+
+    def rays(
+        self, height: int, width: int, device: torch.device | str = "cpu"
+    ) -> tuple[Float[Tensor, "3"], Float[Tensor, "R 3"]]:
+        """Return the origin, and directions of unit planar depth through the pixels' centres."""
+        focal = 0.5 / np.tan(self.fovy / 2.0)  # in image heights
+        K = np.diag([focal * width / self.aspect, focal * height, 1.0])
+        K[:2, 2] = width / 2.0, height / 2.0
+        directions = pixel_directions(K, self.camera_from_world, pixel_centres(height, width))
+        origin = camera_position(self.camera_from_world)
+        origin, directions = origin.astype(np.float32), directions.astype(np.float32)
+        return torch.from_numpy(origin).to(device), torch.from_numpy(directions).to(device)
+
+
+@dataclass
+class _Rays:
+    """What R rays see, and where."""
+
+    features: Float[Tensor, "R W"]
+    depths: Float[Tensor, "R S"]
+    weights: Float[Tensor, "R S"]
+
+
+class Picture(NamedTuple):
+    """An image to be rendered."""
+
+    longer: int
+    """pixels on the longer side"""
+    samples: int = 8
+    """on each ray"""
+
+
+@torch.inference_mode()
+def render_progressively(
+    field: ConditionedField,
+    camera: FreeCamera,
+    coarse: int,
+    fine: list[Picture],
+    stale: Callable[[], bool] = lambda: False,
+) -> Iterator[RenderedImages]:
+    """Yield ever finer images (V = 1), until a newer one is wanted.
+
+    The coarse image has samples all along its rays. A ray of a finer one has a few, spread over the depths at which the
+    coarse rays around it met something, which costs a fraction.
+
+    Args:
+        field: of the scene.
+        camera: from where.
+        coarse: pixels on the longer side of the first image.
+        fine: the images after it.
+        stale: tells whether to stop.
+    """
+    near, far = field.field.bounds.near, field.field.bounds.far
+    height, width = camera.shape(coarse)
+    device = field.latent.device
+    origin, directions = camera.rays(height, width, device)
+    spacing = (far - near) / _COARSE_SAMPLES
+    every = even_samples(near, far, (height * width,), _COARSE_SAMPLES, device)
+    rays = _in_chunks(
+        lambda part: _render_twice(field, origin, directions[part], every[part]), len(every), stale, device
+    )
+    if rays is None:
+        return
+    yield _images(field, rays, height, width)
+    bins = even_samples(near, far, (), _BINS, device)
+    histogram = _histogram(rays, near, far).reshape(1, height, width, _BINS).permute(0, 3, 1, 2)
+    around = F.max_pool2d(histogram, 3, 1, 1)
+    longest = max(spacing, 1.5 * (far - near) / _BINS)
+    for picture in fine:
+        height, width = camera.shape(picture.longer)
+        origin, directions = camera.rays(height, width, device)
+        mass = F.interpolate(around, (height, width), mode="nearest")[0].reshape(_BINS, -1).T
+        rays = _in_chunks(
+            partial(_render_where, field, origin, directions, bins, mass, picture.samples, longest),
+            len(mass),
+            stale,
+            device,
+        )
+        if rays is None:
+            return
+        yield _images(field, rays, height, width)
+
+
+def _in_chunks(
+    render: Callable[[slice], _Rays], count: int, stale: Callable[[], bool], device: torch.device
+) -> _Rays | None:
+    """Render rays in all threads; None if a newer picture was wanted before the end.
+
+    Args:
+        render: renders the rays of a slice.
+        count: how many there are.
+        stale: tells whether a newer picture is wanted.
+        device: where they are rendered.
+    """
+    most = _RAYS_PER_CHUNK if device.type == "cpu" else _RAYS_PER_CHUNK_ON_GPU
+    size = min(most, -(-count // (2 * _thread_count())))
+
+    def chunk(start: int) -> _Rays | None:
+        if stale():
+            return None
+        with torch.inference_mode():  # it holds for a thread
+            return render(slice(start, start + size))
+
+    parts = list(_threads().map(chunk, range(0, count, size)))
+    whole = [part for part in parts if part is not None]
+    if len(whole) < len(parts):
+        return None
+    return _Rays(*(torch.cat([getattr(part, name) for part in whole]) for name in ("features", "depths", "weights")))
+
+
+@functools.cache
+def _threads() -> ThreadPoolExecutor:
+    """Return threads that each render chunks of their own.
+
+    They need not wait for each other as PyTorch's own threads do at every operation, which takes many times longer
+    where a browser wants the same cores.
+    """
+    return ThreadPoolExecutor(_thread_count(), "field", initializer=torch.set_num_threads, initargs=(1,))
+
+
+def _thread_count() -> int:
+    return min(_MOST_THREADS, len(os.sched_getaffinity(0)))
+
+
+def _render_twice(field: ConditionedField, origin: Tensor, directions: Tensor, depths: Float[Tensor, "R S"]) -> _Rays:
+    """Render rays at sorted depths [m], and at some more where the first ones found something."""
+    first = _evaluate(field, origin, directions, depths)
+    weights = _weights(field, directions, depths, first[0], None)
+    more = importance_samples(depths, weights[:, :-1], _IMPORTANCE_SAMPLES)
+    second = _evaluate(field, origin, directions, more)
+    every, order = torch.cat([depths, more], dim=-1).sort(-1)
+    density = torch.cat([first[0], second[0]], dim=1).gather(1, order)
+    features = torch.cat([first[1], second[1]], dim=1)
+    features = features.gather(1, order[..., None].expand(-1, -1, features.shape[-1]))
+    return _composed(field, origin, directions, every, density, features, None)
+
+
+def _render_where(
+    field: ConditionedField,
+    origin: Tensor,
+    directions: Float[Tensor, "R 3"],
+    bins: Float[Tensor, "B"],
+    mass: Float[Tensor, "R B"],
+    samples: int,
+    longest: float,
+    part: slice,
+) -> _Rays:
+    """Render some rays at depths spread over where something was met.
+
+    Args:
+        field: of the scene.
+        origin, directions: of all rays.
+        bins: depths [m].
+        mass: what all rays met there.
+        samples: on each ray.
+        longest: most that a sample may stand for [m of depth]; gaps between samples are known to be empty.
+        part: which rays.
+    """
+    chosen = mass[part]
+    depths = importance_samples(bins.expand(len(chosen), -1), chosen, samples)
+    density, features = _evaluate(field, origin, directions[part], depths)
+    return _composed(field, origin, directions[part], depths, density, features, longest)
+
+
+def _evaluate(
+    field: ConditionedField, origin: Tensor, directions: Float[Tensor, "R 3"], depths: Float[Tensor, "R S"]
+) -> tuple[Float[Tensor, "R S"], Float[Tensor, "R S W"]]:
+    density, features = field((origin + depths[..., None] * directions[:, None]).reshape(-1, 3))
+    return density.reshape(depths.shape), features.reshape(*depths.shape, -1)
+
+
+def _weights(
+    field: ConditionedField, directions: Tensor, depths: Float[Tensor, "R S"], density: Tensor, longest: float | None
+) -> Float[Tensor, "R S1"]:
+    """Return the samples' shares in their rays, and last that of the backdrop, which takes the rest."""
+    far = torch.full_like(depths[:, :1], field.field.bounds.far)
+    spacings = sample_spacings(torch.cat([depths, far], dim=-1), directions)
+    if longest is not None:
+        length = longest * directions.norm(dim=-1, keepdim=True)
+        spacings[:, :-1] = torch.minimum(spacings[:, :-1], length)
+    return rendering_weights(torch.cat([density, torch.ones_like(far)], dim=-1), spacings)
+
+
+def _composed(
+    field: ConditionedField,
+    origin: Tensor,
+    directions: Float[Tensor, "R 3"],
+    depths: Float[Tensor, "R S"],
+    density: Float[Tensor, "R S"],
+    features: Float[Tensor, "R S W"],
+    longest: float | None,
+) -> _Rays:
+    """Put samples together, and the backdrop where they let something through."""
+    weights = _weights(field, directions, depths, density, longest)
+    seen = composite(weights[:, :-1], features)
+    open_rays = torch.nonzero(weights[:, -1] > _OPAQUE)[:, 0]
+    if len(open_rays):
+        _, backdrop = field(origin + field.field.bounds.far * directions[open_rays])
+        seen[open_rays] += weights[open_rays, -1:] * backdrop
+    far = torch.full_like(depths[:, :1], field.field.bounds.far)
+    return _Rays(seen, torch.cat([depths, far], dim=-1), weights)
+
+
+def _histogram(rays: _Rays, near: float, far: float) -> Float[Tensor, "R bins"]:
+    """Return each ray's weight in equal bins of depth."""
+    place = ((rays.depths[:, :-1] - near) / (far - near) * _BINS).long().clamp(0, _BINS - 1)
+    return torch.zeros(len(place), _BINS, device=place.device).scatter_add_(1, place, rays.weights[:, :-1].clone())
+
+
+def _images(field: ConditionedField, rays: _Rays, height: int, width: int) -> RenderedImages:
+    values, shape = field.field.read(rays.features), (1, height, width)
+    return RenderedImages(
+        values["rgb"].clamp(0.0, 1.0).reshape(*shape, 3).cpu().numpy(),
+        values["semantic"].argmax(-1).reshape(shape).cpu().numpy(),
+        (rays.weights * rays.depths).sum(-1).reshape(shape).cpu().numpy(),
+    )

@@ -1,0 +1,64 @@
+"""A frame's cameras beside what the radiance field renders from its latent."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import UInt8
+from numpy import ndarray
+
+from nerf_rl.datasets.storage.frames import Frame
+from nerf_rl.pictures.images import colour_depth, colour_labels
+from nerf_rl.pretrain.model.conditioned_field import ConditionedField
+from nerf_rl.pretrain.model.ray_rendering import RenderedImages
+from nerf_rl.viewer.drawing.pictures import camera_strip, heat, side_by_side, stack
+from nerf_rl.viewer.field.progressive import FreeCamera, Picture, render_progressively
+
+_MOST_COLOUR_ERROR = 0.3  # mean over channels in [0, 1]
+_MOST_DEPTH_ERROR = 0.1  # [m]
+
+
+def render_views(
+    field: ConditionedField, frame: Frame, views: Sequence[int], stale: Callable[[], bool] = lambda: False
+) -> list[RenderedImages] | None:
+    """Return what the field renders for some of a frame's cameras, or None if a newer frame is wanted."""
+    height, width = frame.depth.shape[1:]
+    rendered = []
+    for view in views:
+        focal = frame.intrinsics[view, 1, 1]
+        camera = FreeCamera(frame.camera_from_world[view], float(2 * np.arctan(height / (2 * focal))), width / height)
+        longer = max(height, width)
+        finest = list(render_progressively(field, camera, max(8, longer // 2), [Picture(longer)], stale))
+        if len(finest) < 2:
+            return None
+        rendered.append(finest[-1])
+    return rendered
+
+
+def comparison(
+    frame: Frame,
+    view: int,
+    rendered: RenderedImages,
+    palette: UInt8[ndarray, "C 3"],
+    depth_range: tuple[float, float],
+    far: float,
+    height: int = 112,
+) -> UInt8[ndarray, "A B 3"]:
+    """Return three rows, truth, rendering and error, of colours, labels and depth.
+
+    Errors are black where there is none, and bright from 0.3 in colour and 0.1 m in depth; wrong labels are white.
+    Depth counts where the truth is nearer than ``far`` [m], since the field ends there.
+    """
+    truth = camera_strip(frame, view, palette, depth_range, height)
+    colours = (255 * rendered.rgb[0]).round().astype(np.uint8)
+    labels = colour_labels(rendered.semantic[0], palette)
+    decoded = side_by_side([colours, labels, colour_depth(rendered.depth[0], *depth_range)], height)
+    return stack([truth, decoded, side_by_side(errors(frame, view, rendered, far), height)])
+
+
+def errors(frame: Frame, view: int, rendered: RenderedImages, far: float) -> list[UInt8[ndarray, "H W 3"]]:
+    """Return heat maps of the errors in colour, labels and depth, the latter where the truth is nearer than ``far``."""
+    colour = np.abs(rendered.rgb[0] - frame.rgb[view] / 255.0).mean(-1)
+    wrong = np.where(rendered.semantic[0] != frame.semantic[view], 255, 0).astype(np.uint8)
+    depth = np.where(frame.depth[view] < far, np.abs(rendered.depth[0] - frame.depth[view]), 0.0)
+    wrong_labels = np.repeat(wrong[..., None], 3, axis=-1)
+    return [heat(colour, _MOST_COLOUR_ERROR), wrong_labels, heat(depth, _MOST_DEPTH_ERROR)]

@@ -1,0 +1,98 @@
+"""Pictures of an agent: learning curves with intervals, and what its latent decodes to."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import UInt8
+from numpy import ndarray
+
+from nerf_rl.pictures.images import colour_depth, colour_labels
+from nerf_rl.pretrain.model.conditioned_field import ConditionedField
+from nerf_rl.pretrain.model.encoder_rig import EncoderRig
+from nerf_rl.pretrain.model.ray_rendering import RenderedImages
+from nerf_rl.viewer.drawing.charts import lines_chart, rasterise
+from nerf_rl.viewer.drawing.pictures import caption, magnify, side_by_side, stack
+from nerf_rl.viewer.drawing.slides import Slide
+from nerf_rl.viewer.field.progressive import FreeCamera, Picture, render_progressively
+from nerf_rl.viewer.pages.agent import ActedEpisode, Agent
+from nerf_rl.viewer.panels.scene_panel import field_of_view
+
+_SHOWN = ("episode_return", "episode_success", "q", "td_error", "critic_loss", "pre_tanh", "noise")
+
+
+def learning_charts(evaluations: list[dict[str, Any]], metrics: dict[str, ndarray]) -> list[UInt8[ndarray, "_ _ 3"]]:
+    """Return charts of the evaluations, with 95 % intervals, and of scalars logged in training, if there are any."""
+    charts = []
+    if evaluations:
+        charts.append(_evaluation_chart(evaluations))
+    shown = {name: metrics[name] for name in _SHOWN if name in metrics and not np.isnan(metrics[name]).all()}
+    if shown:
+        charts.append(lines_chart(shown, "environment steps", x=metrics["env_steps"]))
+    return charts
+
+
+def decode_views(
+    field: ConditionedField, rig: EncoderRig, stale: Callable[[], bool] = lambda: False
+) -> list[RenderedImages] | None:
+    """Return what a field renders for each of the encoder's cameras; None if a newer picture is wanted before."""
+    rendered, longer = [], max(rig.height, rig.width)
+    for i in range(len(rig.names)):
+        fovy = field_of_view(rig.intrinsics[i], rig.height)
+        camera = FreeCamera(rig.camera_from_world[i], fovy, rig.width / rig.height)
+        images = list(render_progressively(field, camera, max(8, longer // 2), [Picture(longer)], stale))
+        if len(images) < 2:
+            return None
+        rendered.append(images[-1])
+    return rendered
+
+
+def draw_decoded(
+    rendered: Sequence[RenderedImages], palette: UInt8[ndarray, "C 3"], depth_range: tuple[float, float]
+) -> UInt8[ndarray, "A B 3"]:
+    """Return rows of colours, labels and depth of decoded cameras."""
+    colours = [(255 * view.rgb[0]).round().astype(np.uint8) for view in rendered]
+    labels = [colour_labels(view.semantic[0], palette) for view in rendered]
+    depth = [colour_depth(view.depth[0], *depth_range) for view in rendered]
+    return stack([side_by_side(row, 112) for row in (colours, labels, depth)])
+
+
+def _evaluation_chart(evaluations: list[dict[str, Any]]) -> UInt8[ndarray, "A B 3"]:
+    from matplotlib.figure import Figure  # takes half a second to import
+
+    figure = Figure(figsize=(4.4, 3.6), dpi=100, layout="constrained")
+    success, returns = figure.subplots(2, 1, sharex=True)
+    steps = [e["env_steps"] for e in evaluations]
+    success.plot(steps, [e["success_rate"] for e in evaluations], marker="o")
+    success.fill_between(steps, [e["ci_low"] for e in evaluations], [e["ci_high"] for e in evaluations], alpha=0.2)
+    success.set(ylim=(-0.03, 1.03), ylabel="success rate", title="evaluations, 95 % interval")
+    returns.plot(steps, [e["mean_return"] for e in evaluations], marker="o", color="tab:orange")
+    returns.set(xlabel="environment steps", ylabel="return until success")
+    return rasterise(figure)
+
+
+def episode_slide(agent: Agent, episode: ActedEpisode, step: int) -> Slide:
+    """Return one step as a slide: the scene, the encoder's cameras above what their latent decodes to, and numbers."""
+    r = episode.rollout
+    parts = []
+    if r.images is not None:
+        rows = [side_by_side(list(r.images[step]), 112)]
+        folded = agent.folded(episode, step)
+        if folded is not None and agent.encoder is not None:
+            decoded = decode_views(folded, agent.encoder.rig)
+            assert decoded is not None  # nothing newer is ever wanted here
+            rows.append(draw_decoded(decoded, agent.palette, agent.depth_range(decoded)))
+        parts.append(stack(rows))
+    parts.insert(0, magnify(r.view[step], parts[0].shape[0] if parts else 360))
+    height = max(part.shape[0] for part in parts)
+    padded = [np.pad(p, ((0, height - p.shape[0]), (0, 8), (0, 0)), constant_values=255) for p in parts]
+    picture = np.concatenate(padded, axis=1)
+    return Slide(stack([picture, caption(_numbers(episode, step), picture.shape[1])]), f"seed {episode.seed}")
+
+
+def _numbers(episode: ActedEpisode, step: int) -> str:
+    acted = min(step, len(episode.rollout.rewards) - 1)
+    value = "" if episode.values is None else f"   Q {episode.values[acted]:.2f}"
+    success = "   SUCCESS" if step > 0 and episode.rollout.success[:step].any() else ""
+    actions = " ".join(f"{a:+.2f}" for a in episode.rollout.actions[acted])
+    return f"step {step}   reward {episode.rollout.rewards[acted]:.2f}{value}   action {actions}{success}"

@@ -1,0 +1,79 @@
+"""``nerf-rl view ENCODER``: find its dataset, then serve its page, or save it."""
+
+from pathlib import Path
+
+import yaml
+
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.errors import MissingFileError, UserError
+from nerf_rl.machine.devices import resolve_device
+from nerf_rl.pretrain.model.artefact import read_description
+from nerf_rl.pretrain.model.encoder_rig import EncoderRig
+from nerf_rl.viewer.config import ViewConfig
+
+
+def dataset_of_encoder(config: ViewConfig) -> tuple[MultiViewDataset, Path]:
+    """Return the dataset to look at through an encoder, and the encoder's run folder.
+
+    Raises:
+        UserError: no dataset is named, or it has other cameras; the run holds no field.
+    """
+    folder, description = read_description(config.path)
+    if not (folder / "field.json").is_file():
+        remedy = "give the run folder that pretrain wrote"
+        raise MissingFileError("an encoder with its radiance field", folder, "it holds no field.json", remedy)
+    data = config.data
+    if not data and (folder / "config.yaml").is_file():
+        data = yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8")).get("data", "")
+    if not data or (not config.data and not Path(data).exists()):
+        where = f"its dataset {data} is not there" if data else "its dataset is not known"
+        raise UserError(f"{folder}: {where}; say where one with the same cameras is by --data FOLDER")
+    dataset = MultiViewDataset(data)
+    EncoderRig.from_json(description["rig"]).require_same(EncoderRig.of_dataset(dataset))
+    return dataset, folder
+
+
+def serve_encoder(config: ViewConfig, dataset: MultiViewDataset, folder: Path) -> None:
+    """Serve until Ctrl-C."""
+    from nerf_rl.viewer.field.latents import EncodedDataset
+    from nerf_rl.viewer.pages.dataset_view import DatasetView
+    from nerf_rl.viewer.pages.encoder_view import EncoderPanel
+    from nerf_rl.viewer.server import serve, wait_for_interrupt, where_to_look
+
+    encoded = EncodedDataset(config.path, folder, dataset, resolve_device(config.device))
+    with serve(config.host, config.port, f"{encoded.encoder.scene}: encoder") as server:
+        page = DatasetView(server, dataset)
+        panel = EncoderPanel(page, encoded)
+        print(where_to_look(config.host, server.get_port()), flush=True)
+        page.gather_statistics()
+        wait_for_interrupt()
+        panel.close()
+        page.close()
+
+
+def save_encoder(config: ViewConfig, dataset: MultiViewDataset, folder: Path) -> None:
+    """Write the files asked for: each camera's truth, rendering and error."""
+    from nerf_rl.datasets.storage.frames import Frame, read_frame
+    from nerf_rl.viewer.drawing.charts import statistics_chart
+    from nerf_rl.viewer.drawing.pictures import depth_limits
+    from nerf_rl.viewer.drawing.slides import chosen_frames, dataset_slides
+    from nerf_rl.viewer.drawing.statistics import sample_statistics
+    from nerf_rl.viewer.field.latents import EncodedDataset
+    from nerf_rl.viewer.field.reconstruction import comparison, render_views
+    from nerf_rl.viewer.pages.saving import save
+
+    encoded = EncodedDataset(config.path, folder, dataset, resolve_device(config.device))
+    limits, far = depth_limits(read_frame(dataset, 0)), encoded.field.bounds.far
+
+    def draw(frame: Frame, view: int):  # type: ignore[no-untyped-def]
+        rendered = render_views(encoded.folded(encoded.latent(frame)), frame, [view])
+        assert rendered is not None  # nothing newer is ever wanted here
+        return comparison(frame, view, rendered[0], dataset.palette, limits, far)
+
+    save(
+        config.files,
+        f"{encoded.encoder.scene}: encoder",
+        dataset_slides(dataset, chosen_frames(dataset, config.frames), draw),
+        (dataset.class_names, dataset.palette),
+        lambda: [statistics_chart(sample_statistics(dataset), dataset.palette)],
+    )

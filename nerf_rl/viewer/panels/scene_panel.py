@@ -1,0 +1,163 @@
+"""The 3-D scene in the browser: camera frusta with their images, a fused point cloud, axes and named positions."""
+
+from collections.abc import Callable
+
+import numpy as np
+import viser
+import viser.transforms as vtf
+
+from nerf_rl.cameras.geometry import camera_position
+from nerf_rl.datasets.storage.frames import Frame
+from nerf_rl.datasets.storage.point_cloud import COLOURINGS, PointCloud, fuse_views
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.pictures.images import is_surface
+from nerf_rl.viewer.drawing.pictures import depth_limits
+from nerf_rl.viewer.node_names import node_name
+
+_FRUSTUM_SCALE = 0.09  # depth of a frustum [m]
+_FRUSTUM_COLOURS = {"encoder": (40, 120, 220), "supervision": (120, 120, 120), "test": (230, 140, 30)}
+_POINT_SIZE = 0.005  # [m]
+
+
+class ScenePanel:
+    """Shows frames in three dimensions.
+
+    Args:
+        server: to draw on.
+        dataset: the frames' cameras, classes and palette.
+        first: a frame that decides the view and the colours of depth.
+        changed: called when a control asks for the frame to be drawn again.
+    """
+
+    def __init__(self, server: viser.ViserServer, dataset: MultiViewDataset, first: Frame, changed: Callable[[], None]):
+        self._server, self._dataset = server, dataset
+        self.depth_range = depth_limits(first)
+        self._frusta: list[viser.CameraFrustumHandle] = []
+        self._names: list[viser.LabelHandle] = []
+        self._points: dict[str, viser.IcosphereHandle] = {}
+        self._labels: dict[str, viser.LabelHandle] = {}
+        self._cloud: viser.PointCloudHandle | None = None
+        gui = server.gui
+        self.colouring = gui.add_dropdown("Point cloud", ("hidden", *COLOURINGS), initial_value="RGB")
+        self.reach = gui.add_slider("Reach [m]", 0.2, 5.0, 0.1, 2.5, hint="points farther from their camera are hidden")
+        self.size = gui.add_slider("Point size [mm]", 1, 20, 0.5, 1000 * _POINT_SIZE)
+        shown = gui.add_checkbox("Cameras", True)
+        with gui.add_folder("Classes in the point cloud", expand_by_default=False):
+            self.classes = [gui.add_checkbox(name, True) for name in dataset.class_names]
+        shown.on_update(lambda _: self._show_frusta(shown.value))
+        for control in (self.colouring, self.reach, *self.classes):
+            control.on_update(lambda _: changed())
+        self.size.on_update(lambda _: self._resize())
+        server.scene.add_frame("/world", axes_length=0.2, axes_radius=0.004)
+        server.scene.add_label("/world/name", "world", position=(0.0, 0.0, -0.02))
+        look_from(server, first)
+
+    def cloud(self, frame: Frame) -> PointCloud:
+        """Return the point cloud that the controls ask for."""
+        return fuse_views(
+            frame,
+            self.colouring.value,
+            self._dataset.palette,
+            self.depth_range,
+            [i for i, box in enumerate(self.classes) if box.value],
+            self.reach.value,
+        )
+
+    def show(self, frame: Frame) -> None:
+        """Draw a frame."""
+        if not self._frusta:
+            self._add_frusta(frame)
+        for view, frustum in enumerate(self._frusta):
+            frustum.image = frame.rgb[view]
+            wxyz, place = frustum_pose(frame.camera_from_world[view])
+            if not (np.array_equal(wxyz, frustum.wxyz) and np.array_equal(place, frustum.position)):
+                frustum.wxyz, frustum.position = wxyz, place
+                self._names[view].position = place
+        self._show_cloud(frame)
+        for i, (name, position) in enumerate(frame.points.items()):
+            if name not in self._points:
+                colour = [(240, 60, 60), (60, 160, 60), (200, 160, 0), (140, 60, 200)][i % 4]
+                self._points[name] = self._server.scene.add_icosphere(
+                    node_name("points", name), radius=0.008, color=colour
+                )
+                self._labels[name] = self._server.scene.add_label(node_name("point names", name), name)
+            self._points[name].position = self._labels[name].position = position
+
+    def _show_cloud(self, frame: Frame) -> None:
+        if self.colouring.value == "hidden":
+            if self._cloud is not None:
+                self._cloud.visible = False
+            return
+        cloud = self.cloud(frame)
+        if self._cloud is None:
+            self._cloud = self._server.scene.add_point_cloud(
+                "/cloud", cloud.points, cloud.colours, point_size=self.size.value / 1000, point_shape="circle"
+            )
+            return
+        with self._server.atomic():
+            self._cloud.points, self._cloud.colors = cloud.points, cloud.colours
+            self._cloud.visible = True
+
+    def _add_frusta(self, frame: Frame) -> None:
+        height, width = frame.rgb.shape[1:3]
+        for view, camera in enumerate(self._dataset.manifest["cameras"]):
+            fov = field_of_view(frame.intrinsics[view], height)
+            frustum = self._server.scene.add_camera_frustum(
+                node_name("cameras", camera["name"]),
+                fov=fov,
+                aspect=width / height,
+                scale=_FRUSTUM_SCALE,
+                thickness=2.0,
+                thickness_units="screen",
+                color=_FRUSTUM_COLOURS.get(camera["role"], (120, 120, 120)),
+                image=frame.rgb[view],
+            )
+            label = self._server.scene.add_label(node_name("camera names", camera["name"]), camera["name"])
+            self._names.append(label)
+            frustum.on_click(lambda event, frustum=frustum: look_through(event, frustum))
+            self._frusta.append(frustum)
+
+    def _show_frusta(self, visible: bool) -> None:
+        for frustum in self._frusta:
+            frustum.visible = visible
+
+    def _resize(self) -> None:
+        if self._cloud is not None:
+            self._cloud.point_size = self.size.value / 1000
+
+
+def field_of_view(intrinsics: np.ndarray, height: int) -> float:
+    """Return the vertical field of view [rad] of K [pixels]."""
+    return float(2.0 * np.arctan(height / (2.0 * intrinsics[1, 1])))
+
+
+def frustum_pose(camera_from_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the quaternion (w, x, y, z) and the position [m] of a camera in the world; both use OpenCV's axes."""
+    rotation = vtf.SO3.from_matrix(camera_from_world[:3, :3].T)
+    return rotation.wxyz, camera_position(camera_from_world)
+
+
+def look_through(event: viser.SceneNodePointerEvent, frustum: viser.CameraFrustumHandle) -> None:
+    """Move the camera of the browser that clicked into a frustum."""
+    pose = vtf.SE3.from_rotation_and_translation(vtf.SO3(np.asarray(frustum.wxyz)), np.asarray(frustum.position))
+    camera = event.client.camera
+    with event.client.atomic():
+        camera.position = pose.translation()
+        camera.look_at = pose.translation() + pose.rotation().as_matrix()[:, 2] * 0.8
+        camera.up_direction = -pose.rotation().as_matrix()[:, 1]
+        camera.fov = frustum.fov
+
+
+def look_from(server: viser.ViserServer, frame: Frame) -> None:
+    """Begin between the first camera and the others, farther off, with a view of what most of them look at."""
+    centres = camera_position(frame.camera_from_world)
+    forward = frame.camera_from_world[:, 2, :3]
+    depth = np.where(is_surface(frame.depth, frame.far), frame.depth, np.nan)
+    seen = ~np.isnan(depth).all(axis=(1, 2))  # the others look at nothing
+    if not seen.any():
+        return
+    targets = centres[seen] + forward[seen] * np.nanmedian(depth[seen], axis=(1, 2))[:, None]
+    target = np.mean(targets, axis=0)
+    away = 0.7 * centres[0] + 0.3 * np.mean(centres, axis=0) - target
+    server.initial_camera.position = target + 1.6 * away + np.array([0.0, 0.0, 0.3])
+    server.initial_camera.look_at = target
