@@ -1,15 +1,8 @@
 """Output folders: what may be written where, and the record of how each result was made."""
 
-import contextlib
 import dataclasses
-import importlib.metadata
-import json
-import os
-import resource
 import shutil
-import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +10,10 @@ import yaml
 
 from nerf_rl import __version__
 from nerf_rl.errors import OutputExistsError
+from nerf_rl.files.atomic import write_text
+from nerf_rl.files.json_files import read_json, write_json
+from nerf_rl.files.versions import git_revision, package_versions
 
-_RECORDED_PACKAGES = ("torch", "torchrl", "lightning", "mujoco", "metaworld", "gymnasium", "h5py", "numpy", "optuna")
 PROVENANCE = "provenance.json"
 SUMMARY = "summary.json"
 
@@ -78,80 +73,6 @@ def _cut_off_early(folder: Path, command: str) -> bool:
     return begun.is_file() and not (folder / SUMMARY).exists() and read_json(begun)["command"] == command
 
 
-@contextlib.contextmanager
-def written_whole(path: Path) -> Iterator[Path]:
-    """Give a place to write a file to, so that the file exists whole or not at all.
-
-    What was written there is flushed to disk and renamed; if writing fails, it is removed, and an older file stays. The
-    place has the file's suffix, since some writers choose the format by it. The file gets the permissions that the
-    user's umask gives to new files, whatever those are that its writer creates it with.
-    """
-    aside = path.with_name(f".partial-{path.name}")
-    aside.unlink(missing_ok=True)
-    aside.touch()
-    permissions = aside.stat().st_mode & 0o777
-    try:
-        yield aside
-        aside.chmod(permissions)
-        rename_durably(aside, path)
-    finally:
-        aside.unlink(missing_ok=True)
-
-
-def rename_durably(aside: Path, path: Path) -> None:
-    """Flush a file to disk and give it its name, which is on disk too when this returns."""
-    _flush(aside)
-    os.replace(aside, path)
-    _flush(path.parent)
-
-
-def _flush(path: Path) -> None:
-    """Wait until a file's content, or a folder's list of names, is on disk."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file whole or not at all."""
-    with written_whole(path) as aside:
-        aside.write_text(text, encoding="utf-8")
-
-
-def write_json(path: Path, content: Any) -> None:
-    """Write JSON whole or not at all; numbers that JSON has no word for (NaN, infinity) are an error."""
-    write_text(path, json_text(content))
-
-
-def json_text(content: Any) -> str:
-    """Return what :func:`write_json` writes; the same content gives the same text."""
-    return json.dumps(content, indent=2, allow_nan=False) + "\n"
-
-
-def read_json(path: Path) -> Any:
-    """Read a JSON file.
-
-    Raises:
-        OSError: it cannot be read.
-        ValueError: it holds something else, or numbers that JSON has no word for.
-    """
-    return parse_json(path.read_bytes())
-
-
-def parse_json(content: bytes) -> Any:
-    """Return what JSON in UTF-8 says; raise ValueError for anything else, and for lists nested without end."""
-    try:
-        return json.loads(content.decode(), parse_constant=_refuse_constant)
-    except RecursionError as error:
-        raise ValueError("it is nested too deeply") from error
-
-
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"it holds {name}, which is no JSON")
-
-
 def write_provenance(folder: Path, command: str, config: Any) -> None:
     """Write the resolved configuration and the versions behind a run: ``config.yaml`` and ``provenance.json``.
 
@@ -184,38 +105,3 @@ def plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [plain(item) for item in value]
     return str(value) if isinstance(value, Path) else value
-
-
-def git_revision() -> str | None:
-    """Return the revision of the checkout this package runs from, with ``-dirty`` for uncommitted changes, if any."""
-    try:
-        described = subprocess.run(
-            ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            timeout=5,
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return described.stdout.strip() if described.returncode == 0 else None
-
-
-def package_versions() -> dict[str, str]:
-    """Return the versions of the packages that results depend on."""
-    versions = {}
-    for name in _RECORDED_PACKAGES:
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return versions
-
-
-def peak_rss_mb() -> float:
-    """Return the peak resident memory of this process so far [MB]."""
-    with contextlib.suppress(OSError):  # on Linux, getrusage's figure begins with that of the process that started this
-        status = Path("/proc/self/status").read_text()
-        return int(status.partition("VmHWM:")[2].split()[0]) / 1024
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1024 * 1024 if sys.platform == "darwin" else 1024)
