@@ -78,7 +78,7 @@ check: $(READY)
 	$(BIN)/mypy
 	$(BIN)/python tools/import_all_modules.py
 
-# TESTS narrows the run: make test TESTS="tests/test_cameras.py -x". Each core takes test files one after another.
+# TESTS narrows the run: make test TESTS="tests/pretrain -x". Each core takes test files one after another.
 test: $(READY)
 	$(BIN)/python -m pytest -n auto --dist loadfile $(TESTS)
 

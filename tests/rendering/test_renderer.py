@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from nerf_rl.cameras.geometry import geometry as cameras
+from nerf_rl.cameras import geometry as cameras
 from nerf_rl.metrics import confusion_matrix, intersection_over_union, psnr_db
 from nerf_rl.rendering.renderer import MultiViewRenderer
 from nerf_rl.rendering.semantics import semantic_classes

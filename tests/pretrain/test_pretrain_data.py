@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from nerf_rl.cameras.geometry import geometry as cameras
+from nerf_rl.cameras import geometry as cameras
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import UserError
 from nerf_rl.pretrain.config import PretrainConfig, SamplingConfig

@@ -12,7 +12,7 @@ from nerf_rl.pretrain.model.encoder import Encoder
 from nerf_rl.pretrain.model.precision import resolve_precision
 
 CPU, CUDA = torch.device("cpu"), torch.device("cuda", 0)
-RECIPES = Path(__file__).parents[1] / "pretrain"
+RECIPES = Path(__file__).parents[2] / "pretrain"
 # all else is as shipped
 FEWER = {  # of 64 + 192 samples a ray, each through 8 x 256 units
     "snerl-original.yaml": [

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from nerf_rl.cameras.geometry import geometry as cameras
+from nerf_rl.cameras import geometry as cameras
 from nerf_rl.rendering.culling import FrustumCulling
 from nerf_rl.rendering.renderer import MultiViewRenderer
 from nerf_rl.scenes.base import Scene

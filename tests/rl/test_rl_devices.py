@@ -25,7 +25,7 @@ COMMANDS = {
 @pytest.fixture(scope="module")
 def passed(tiny_encoder: Path, tiny_dataset: Path) -> tuple[list[str], str]:
     """The checks that passed on a fake GPU, and what went wrong in the first that did not."""
-    program = [sys.executable, str(Path(__file__).parent / "fake_gpu.py"), str(tiny_encoder), str(tiny_dataset)]
+    program = [sys.executable, str(Path(__file__).parents[1] / "fake_gpu.py"), str(tiny_encoder), str(tiny_dataset)]
     done = subprocess.run(program, capture_output=True, text=True, timeout=300)
     return done.stdout.split(), done.stderr[-2000:]
 

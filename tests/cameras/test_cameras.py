@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from nerf_rl.cameras.geometry import geometry as cameras
+from nerf_rl.cameras import geometry as cameras
 
 
 def random_cameras(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,7 @@ import pytest
 from nerf_rl import cli
 from nerf_rl.pretrain.model.encoder import Encoder
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 HIDDEN = """
 <mujoco>

@@ -12,7 +12,7 @@ from nerf_rl import cli
 from nerf_rl.tuning.recipe import check_space, start_values, trial_config
 from nerf_rl.tuning.tune import trials_of
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 
 TINY = """
 overrides:

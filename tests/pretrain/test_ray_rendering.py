@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from nerf_rl.cameras.geometry import geometry as cameras
+from nerf_rl.cameras import geometry as cameras
 from nerf_rl.errors import UserError
 from nerf_rl.pretrain.config import SamplingConfig
 from nerf_rl.pretrain.model import ray_rendering as rendering

@@ -20,7 +20,7 @@ from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 from nerf_rl.pretrain.objectives.picture_module import PictureModule
 from nerf_rl.pretrain.objectives.picture_objectives import OBJECTIVES, MaskedAutoencoder, shifted
 
-ROOT = Path(__file__).parents[1] / "pretrain"
+ROOT = Path(__file__).parents[2] / "pretrain"
 DEMO, RECIPES = str(ROOT / "demo.yaml"), sorted((ROOT / "objectives").glob("*.yaml"))
 SMALL = ["--steps", "4", "--steps_per_epoch", "2", "--scenes_per_step", "4", "--rays_per_scene", "8"]
 SMALL += ["--validation_frames", "2", "--probe_frames", "9", "--threads", "1"]

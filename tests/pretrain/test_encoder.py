@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from nerf_rl.cameras.geometry import geometry as cameras
+from nerf_rl.cameras import geometry as cameras
 from nerf_rl.errors import MissingFileError
 from nerf_rl.pretrain.config import EncoderConfig
 from nerf_rl.pretrain.model.artefact import DESCRIPTION, WEIGHTS

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nerf_rl.cameras.geometry import geometry as cameras
+from nerf_rl.cameras import geometry as cameras
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import RigMismatchError, UserError
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig

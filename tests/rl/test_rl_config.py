@@ -8,7 +8,7 @@ import yaml
 from nerf_rl import cli
 from nerf_rl.errors import UserError
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize(

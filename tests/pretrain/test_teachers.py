@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nerf_rl.cameras.geometry import geometry as cameras
+from nerf_rl.cameras import geometry as cameras
 from nerf_rl.pretrain.data.teachers import WIDTHS, surface_normals, teacher_features
 
 SIZE, FAR = 40, 5.0

@@ -50,7 +50,7 @@ def test_a_reader_written_from_the_description_alone_finds_the_handle_where_the_
 
 
 def test_the_description_names_every_array_and_every_key_that_there_is(tiny_dataset: Path):
-    text = (Path(__file__).parents[1] / "datasets" / "README.md").read_text()
+    text = (Path(__file__).parents[2] / "datasets" / "README.md").read_text()
     arrays, manifest = (text.partition(header)[2].partition("\n\n")[0] for header in ("| array in a shard", "| key in"))
     with h5py.File(tiny_dataset / "shards" / "000000.h5") as shard:
         found: set[str] = set()
