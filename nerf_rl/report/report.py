@@ -18,6 +18,7 @@ from nerf_rl.pretrain.measures.figures import describe_iou, describe_validation
 from nerf_rl.pretrain.model.artefact import read_description
 from nerf_rl.report.config import ReportConfig
 from nerf_rl.report.sources import FIELD, Sources, find_sources
+from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS, describe_episodes, tells_success
 
 if TYPE_CHECKING:
     from nerf_rl.rl.rollout import Rollout
@@ -79,8 +80,7 @@ def _key_figures(summaries: dict[str, dict[str, Any]]) -> list[str]:
     agent = summaries["agent"]
     last = agent["evaluations"][-1]
     lines.append(
-        f"policy   {last['success_rate']:.0%} success (95 % interval {last['ci_low']:.0%} to {last['ci_high']:.0%}, "
-        f"{last['episodes']} episodes) after {last['env_steps']} environment steps in {agent['seconds']:.0f} s"
+        f"policy   {describe_episodes(last)} after {last['env_steps']} environment steps in {agent['seconds']:.0f} s"
     )
     return lines
 
@@ -125,7 +125,7 @@ def _add_agent(page: Page, config: ReportConfig, sources: Sources, summary: dict
     clips, outcomes = [], []
     for i in range(config.episodes):
         episode = rollout(config.agent, config.seed + i, config.encoder)
-        outcomes.append("success" if episode.success.any() else "no success")
+        outcomes.append(episode.outcome())
         clips.append(draw(episode))
     with TemporaryDirectory() as scratch:
         write_mp4(Path(scratch) / "clip.mp4", np.concatenate(clips), _FRAMES_PER_SECOND)
@@ -133,17 +133,14 @@ def _add_agent(page: Page, config: ReportConfig, sources: Sources, summary: dict
         seeds = f"seeds {config.seed} to {config.seed + config.episodes - 1}"
         caption = f"Episodes of {seeds} ({', '.join(outcomes)}). {shown}"
         page.clip((Path(scratch) / "clip.mp4").read_bytes(), caption)
-        page.image((Path(scratch) / "curve.png").read_bytes(), "Evaluations during training, with 95 % intervals.")
-    rows = [
-        [
-            str(e["env_steps"]),
-            f"{e['success_rate']:.0%}",
-            f"{e['ci_low']:.0%} to {e['ci_high']:.0%}",
-            str(e["episodes"]),
-        ]
-        for e in summary["evaluations"]
-    ]
-    page.table(["environment steps", "success", "95 % interval", "episodes"], rows)
+        intervals = ", with 95 % intervals" if tells_success(summary["evaluations"]) else ""
+        page.image((Path(scratch) / "curve.png").read_bytes(), f"Evaluations during training{intervals}.")
+    told = tells_success(summary["evaluations"])
+    rows = []
+    for e in summary["evaluations"]:
+        success = [f"{e[SUCCESS]:.0%}", f"{e[LOW]:.0%} to {e[HIGH]:.0%}"] if told else []
+        rows.append([str(e["env_steps"]), *success, f"{e['mean_return']:.4g}", str(e["episodes"])])
+    page.table(["environment steps", *(["success", "95 % interval"] if told else []), "mean return", "episodes"], rows)
 
 
 def _drawing(sources: Sources) -> "tuple[Callable[[Rollout], ndarray], str]":

@@ -11,6 +11,7 @@ from nerf_rl.machine.devices import check_device, resolve_device
 from nerf_rl.rl.agents.artefact import check_policy
 from nerf_rl.rl.config import EvaluateConfig
 from nerf_rl.rl.environments.encoder_match import warn_of_workers_rendering
+from nerf_rl.rl.training.evaluation_results import describe_episodes
 
 if TYPE_CHECKING:
     from nerf_rl.rl.agents.policy import Policy
@@ -51,8 +52,7 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
         _write_video(out / VIDEO, config, policy, seeds[: config.video_episodes], str(device))
         summary["video"] = VIDEO
     write_json(out / SUMMARY, summary)
-    rate, low, high = (f"{summary[key]:.0%}" for key in ("success_rate", "ci_low", "ci_high"))
-    print(f"success {rate} [{low}, {high}] of {config.episodes} episodes, return {summary['mean_return']:.0f}")
+    print(describe_episodes(summary))
     return summary
 
 

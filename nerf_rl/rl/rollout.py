@@ -16,6 +16,9 @@ from nerf_rl.rl.agents.policy import Policy
 from nerf_rl.rl.environments.make import make_env
 from nerf_rl.scenes.base import Scene
 
+_FOVY = 45.0  # of the view for people [degrees]
+_AWAY = 1.1 / 0.9  # as far as a camera that just sees the workspace, and a little more
+
 
 @dataclass
 class Rollout:
@@ -31,8 +34,15 @@ class Rollout:
     """what the policy acted on"""
     actions: Float[ndarray, "steps A"]
     rewards: Float[ndarray, "steps"]
-    success: Bool[ndarray, "steps"]
-    """at each action"""
+    success: Bool[ndarray, "steps"] | None
+    """at each action; None where the environment does not tell"""
+
+    def outcome(self) -> str:
+        """Return in words how the episode went: its success, if the environment tells of that, or its return."""
+        if self.success is None:
+            return f"return {self.rewards.sum():.4g}"
+        solved = np.flatnonzero(self.success)
+        return f"success at step {solved[0] + 1}" if len(solved) else "no success"
 
 
 def rollout(
@@ -63,7 +73,8 @@ def rollout(
     view: list[ndarray] = []
     images: list[ndarray] = []
     latents: list[ndarray] = []
-    observations, actions, rewards, success = [], [], [], []
+    observations, actions, rewards = [], [], []
+    success: list[bool] = []
 
     def look() -> None:
         view.append(camera.picture())
@@ -82,8 +93,8 @@ def rollout(
             look()
             actions.append(action)
             rewards.append(float(reward))
-            success.append(bool(info["success"]))
-            ended = terminated or truncated or success[-1]
+            success += [bool(info["success"])] if "success" in info else []
+            ended = terminated or truncated or any(success[-1:])
     finally:
         camera.close()
         env.close()
@@ -94,7 +105,7 @@ def rollout(
         np.stack(observations),
         np.stack(actions),
         np.array(rewards),
-        np.array(success),
+        np.array(success) if success else None,
     )
 
 
@@ -114,9 +125,10 @@ class _Camera:
             top, left = (height - side) // 2, (width - side) // 2
             square = frame[top : top + side, left : left + side]
             return cv2.resize(square, (self._size, self._size), interpolation=cv2.INTER_AREA)
-        intrinsics = intrinsics_from_fovy(45.0, self._size, self._size)[None]
-        pose = look_at(np.array([0.0, 0.68, 0.12]), 1.1, 25.0, -30.0)[None]
-        return self._renderer.render_rgb(self._scene.render_data(), intrinsics, pose)[0]
+        workspace, data = self._scene.workspace(), self._scene.render_data()
+        intrinsics = intrinsics_from_fovy(_FOVY, self._size, self._size)[None]
+        pose = look_at(workspace.centre_in(data), _AWAY * workspace.distance(_FOVY), 25.0, -30.0)[None]
+        return self._renderer.render_rgb(data, intrinsics, pose)[0]
 
     def close(self) -> None:
         """Release the renderer."""

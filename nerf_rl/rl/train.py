@@ -12,11 +12,13 @@ from nerf_rl.machine.extras import import_extra
 from nerf_rl.progress import Progress
 from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
 from nerf_rl.rl.environments.encoder_match import check_encoder_scene, warn_of_workers_rendering
+from nerf_rl.rl.training.evaluation_results import describe_episodes
 from nerf_rl.rl.training.run_record import OnEvaluation, RunRecord
 
 if TYPE_CHECKING:
     import gymnasium
 
+    from nerf_rl.rl.environments.goals import GoalTask
     from nerf_rl.rl.environments.make import EnvSpec
 
 
@@ -40,11 +42,12 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
     run = Path(config.out)
     resuming = config.resume and config.algo == "ddpg" and _can_resume(run, config)
 
-    from nerf_rl.rl.environments.make import EnvSpec, check_scene, make_vector_env
+    from nerf_rl.rl.environments.make import EnvSpec, check_scene, make_goal_task, make_vector_env
 
     spec = EnvSpec(config.scene, encoder, config.action_repeat, config.episode_steps, config.panda)
     proprio_names = check_scene(spec)
-    if config.replay.hindsight and spec.goal_task is None:
+    goal_task = make_goal_task(spec) if config.replay.hindsight else None
+    if config.replay.hindsight and goal_task is None:
         raise UserError(f"--replay.hindsight needs a scene with a goal in its observation; {config.scene} has none")
     prepare_output(run, config.overwrite, config.resume, resuming, "train-rl")
     write_provenance(run, "train-rl", config)
@@ -56,19 +59,20 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
             warn_of_workers_rendering(encoder, envs)
         sizes = (_size(envs.single_observation_space), _size(envs.single_action_space))
         record = RunRecord(config, spec, sizes, list(proprio_names if encoder else ()), on_evaluation)
-        train = _train if config.algo == "ddpg" else _train_baseline
-        return train(config, spec, envs, record)
+        if config.algo == "ddpg":
+            return _train(config, goal_task, envs, record)
+        return _train_baseline(config, spec, envs, record)
     finally:
         envs.close(terminate=True)
 
 
-def _train(config: TrainRLConfig, spec: "EnvSpec", envs: Any, record: RunRecord) -> dict[str, Any]:
+def _train(config: TrainRLConfig, goal_task: "GoalTask | None", envs: Any, record: RunRecord) -> dict[str, Any]:
     """Alternate training, evaluation and checkpoints; rewrite the policy after each evaluation."""
     from torch import nn
 
     from nerf_rl.rl.training.loop import Trainer
 
-    trainer = Trainer(config, envs, Path(config.out), spec.goal_task)
+    trainer = Trainer(config, envs, Path(config.out), goal_task)
     pauses = (config.evaluation_every, config.checkpoint_every)
     try:
         with Progress(config.env_steps, "env steps", done=trainer.env_steps) as progress:
@@ -107,11 +111,7 @@ def _train_baseline(config: TrainRLConfig, spec: "EnvSpec", envs: Any, record: R
 
 def describe(result: dict[str, Any], seconds: float) -> str:
     """Return a line on an evaluation."""
-    return (
-        f"{result['env_steps']} env steps, {seconds:.0f} s: success {result['success_rate']:.0%} "
-        f"[{result['ci_low']:.0%}, {result['ci_high']:.0%}] of {result['episodes']} episodes, "
-        f"return {result['mean_return']:.4g}"
-    )
+    return f"{result['env_steps']} env steps, {seconds:.0f} s: {describe_episodes(result)}"
 
 
 def _can_resume(run: Path, config: TrainRLConfig) -> bool:

@@ -3,7 +3,7 @@
 import functools
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import gymnasium
@@ -19,6 +19,7 @@ from nerf_rl.scenes.workspace import Workspace
 
 METAWORLD, GYM = "metaworld/", "gym/"
 """what the names of scenes begin with"""
+_SUCCESS = ("success", "is_success")  # names that environments give it in a step's information
 
 Policy = Callable[[Any], ndarray]
 """From an observation to an action [A] in [-1, 1]."""
@@ -96,6 +97,12 @@ class Scene(ABC):
     def provenance(self) -> dict[str, Any]:
         """Return what identifies the scene."""
         return {"name": self.name, "mujoco": mujoco.__version__}
+
+
+def success_in(info: Mapping[str, Any]) -> bool | None:
+    """Return whether a step's information tells of success, and None if it tells nothing of it."""
+    found = next((info[key] for key in _SUCCESS if key in info), None)
+    return None if found is None else bool(found)
 
 
 def model_digest(model: mujoco.MjModel) -> str:

@@ -5,7 +5,7 @@ import importlib
 from nerf_rl.errors import UserError
 from nerf_rl.scenes.base import GYM, METAWORLD, Scene
 
-_MJCF_ENDINGS = (".xml", ".mjcf")
+MJCF_ENDINGS = (".xml", ".mjcf")
 _SCENES = {
     METAWORLD: ("nerf_rl.scenes.metaworld", "MetaWorldScene"),
     GYM: ("nerf_rl.scenes.gym", "GymScene"),
@@ -26,11 +26,11 @@ def make_scene(name: str) -> Scene:
     for prefix, (module, scene) in _SCENES.items():
         if name.startswith(prefix):
             return getattr(importlib.import_module(module), scene)(name.removeprefix(prefix))
-    if name.endswith(_MJCF_ENDINGS):
+    if name.endswith(MJCF_ENDINGS):
         from nerf_rl.scenes.mjcf import MjcfScene
 
         return MjcfScene(name)
     raise UserError(
         f"unknown scene '{name}'; available: {METAWORLD}TASK, for example {METAWORLD}drawer-open-v3, {GYM}ID, for "
-        f"example {GYM}Ant-v5, and the path of an MJCF file that ends with {' or '.join(_MJCF_ENDINGS)}"
+        f"example {GYM}Ant-v5, and the path of an MJCF file that ends with {' or '.join(MJCF_ENDINGS)}"
     )

@@ -27,6 +27,12 @@ class Workspace:
     floating_base: str = ""
     from_floating_base: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
+    def centre_in(self, data: mujoco.MjData) -> Float[ndarray, "3"]:
+        """Return where the middle is in a state whose positions are propagated, gone with the floating base [m]."""
+        if not self.floating_base:
+            return self.centre
+        return data.body(self.floating_base).xpos + np.array(self.from_floating_base)
+
     def distance(self, fovy_deg: float) -> float:
         """Return from how far a camera with this field of view [degrees] sees the whole ball [m]."""
         return self.radius / float(np.sin(np.deg2rad(fovy_deg) / 2.0))

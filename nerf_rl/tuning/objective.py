@@ -8,6 +8,7 @@ from typing import Any
 import optuna
 from optuna.trial import Trial, TrialState
 
+from nerf_rl.errors import UserError
 from nerf_rl.tuning.config import TuneConfig
 from nerf_rl.tuning.recipe import trial_config
 
@@ -54,6 +55,8 @@ class TrainingObjective:
         run.overwrite = True  # whatever is there is a killed trial's
 
         def report(evaluation: dict[str, Any]) -> None:
+            if self.config.fitness not in evaluation:
+                raise UserError(f"{run.scene} does not tell of success; search with --fitness mean_return")
             trial.set_user_attr(ENV_STEPS, spent + evaluation["env_steps"])
             if seed == 0:
                 trial.report(evaluation[self.config.fitness], evaluation["env_steps"])

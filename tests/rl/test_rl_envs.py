@@ -9,7 +9,8 @@ import pytest
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 
 from nerf_rl.errors import UserError
-from nerf_rl.rl.environments.make import ActionRepeat, EnvSpec, make_env, reset_some
+from nerf_rl.rl.environments.make import EnvSpec, make_env, reset_some
+from nerf_rl.rl.environments.wrappers import ActionRepeat
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes, training_seed
 
 

@@ -10,6 +10,7 @@ from optuna.pruners import ThresholdPruner
 from optuna.trial import TrialState
 
 from nerf_rl import cli
+from nerf_rl.errors import UserError
 from nerf_rl.rl.config import TrainRLConfig
 from nerf_rl.tuning.objective import TrainingObjective, runs_of
 from nerf_rl.tuning.recipe import distributions
@@ -75,6 +76,19 @@ def test_the_fitness_may_be_the_success_rate_and_runs_may_be_kept(runs: list[Tra
     run(study, objective, 0.75)
     assert study.best_value == 1.0 and not runs[0].evaluation_to_end
     assert [path.name for path in runs_of(str(tmp_path)).iterdir()] == ["00000-0"]
+
+
+def test_a_search_for_success_in_a_scene_that_tells_of_none_says_so(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def train(config: TrainRLConfig, on_evaluation: Callable[[dict[str, Any]], None]) -> dict[str, Any]:
+        on_evaluation({"env_steps": config.env_steps, "mean_return": 1.0})
+        raise AssertionError("it went on")
+
+    monkeypatch.setattr("nerf_rl.rl.train.train_rl", train)
+    objective = search(tmp_path, "--fitness", "success_rate")
+    with pytest.raises(UserError, match="does not tell of success; search with --fitness mean_return"):
+        run(optuna.create_study(), objective, 0.75)
 
 
 def test_parameters_that_were_tried_before_are_not_trained_again(runs: list[TrainRLConfig], tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from numpy import ndarray
 from nerf_rl.datasets.config import BehaviourConfig
 from nerf_rl.datasets.generation.stored_states import StoredStates, open_states, restore_state
 from nerf_rl.errors import UserError
-from nerf_rl.scenes.base import Policy, Scene
+from nerf_rl.scenes.base import Policy, Scene, success_in
 
 _HOLD = (3, 15)  # steps for which a random action is held, so that it leads somewhere
 _DETOUR_PROBABILITY = 0.03  # a step, in noisy episodes
@@ -104,7 +104,7 @@ class Behaviour:
             observation, step_reward, terminated, truncated, info = env.step(action)
             self._require_stable(step + 1)
             reward, since_reset = float(step_reward), since_reset + 1
-            success = success or bool(info.get("success", info.get("is_success", False)))
+            success = success or bool(success_in(info))
             if terminated or truncated:
                 observation, _ = env.reset(seed=int(rng.integers(2**31)))
                 reward, success, since_reset = 0.0, False, 0

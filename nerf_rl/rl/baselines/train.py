@@ -47,7 +47,7 @@ class BaselineTrainer(BaseCallback):
         self._sb3.set_logger(Logger(None, []))  # its own would leave a folder in the temporary one for each run
         self._metrics = MetricsLog(run / "metrics.csv")
         self._returns, self._length = np.zeros(config.envs), np.zeros(config.envs, np.int64)
-        self._success = np.zeros(config.envs, np.bool_)
+        self._success, self._tells = np.zeros(config.envs, np.bool_), False
         self._last_log = 0
         self._start = time.monotonic()
         self.env_steps, self.episodes = 0, 0
@@ -95,7 +95,8 @@ class BaselineTrainer(BaseCallback):
         normaliser = self._sb3.get_vec_normalize_env()
         self._returns += self.locals["rewards"] if normaliser is None else normaliser.get_original_reward()
         self._length += steps
-        self._success |= np.array([info["success"] for info in infos])
+        self._tells = all("success" in info for info in infos)
+        self._success |= np.array([info.get("success", False) for info in infos])
         self.env_steps += int(steps.sum())
         for env in np.flatnonzero(dones).tolist():
             self._count_episode(env)
@@ -108,13 +109,8 @@ class BaselineTrainer(BaseCallback):
 
     def _count_episode(self, env: int) -> None:
         self.episodes += 1
-        self._metrics.gather(
-            {
-                "episode_return": float(self._returns[env]),
-                "episode_length": float(self._length[env]),
-                "episode_success": float(self._success[env]),
-            }
-        )
+        ended = {"episode_return": float(self._returns[env]), "episode_length": float(self._length[env])}
+        self._metrics.gather(ended | ({"episode_success": float(self._success[env])} if self._tells else {}))
         self._returns[env], self._length[env], self._success[env] = 0.0, 0, False
 
     def _evaluate(self) -> None:

@@ -16,10 +16,17 @@ from nerf_rl.errors import UserError
 from nerf_rl.machine.gl import use_one_software_thread
 from nerf_rl.rl.config import PandaReachConfig
 from nerf_rl.rl.environments.encoder_match import compare_scenes
-from nerf_rl.rl.environments.goals import GoalTask
+from nerf_rl.rl.environments.goals import DictGoalTask, GoalTask
 from nerf_rl.rl.environments.panda_reach import PANDA_REACH, PandaReach, reach_task
-from nerf_rl.scenes.base import METAWORLD, Scene
-from nerf_rl.scenes.make import make_scene
+from nerf_rl.rl.environments.wrappers import (
+    ActionRepeat,
+    StateObservation,
+    has_goal,
+    with_flat_observation,
+    with_unit_actions,
+)
+from nerf_rl.scenes.base import GYM, METAWORLD, Scene
+from nerf_rl.scenes.make import MJCF_ENDINGS, make_scene
 
 
 @dataclass(frozen=True)
@@ -27,7 +34,7 @@ class EnvSpec:
     """What decides an agent's environment; picklable, so that worker processes can build it."""
 
     scene: str
-    """metaworld/TASK or panda/reach"""
+    """metaworld/TASK, gym/ID or panda/reach"""
     encoder: str | None
     """path of the encoder, or None to observe the true state"""
     action_repeat: int
@@ -37,59 +44,10 @@ class EnvSpec:
     panda: PandaReachConfig = field(default_factory=PandaReachConfig)
     """panda/reach only"""
 
-    @property
-    def goal_task(self) -> GoalTask | None:
-        """What hindsight needs to know of the task; None for scenes whose goals cannot be exchanged."""
-        return reach_task(self.panda) if self.scene == PANDA_REACH else None
-
 
 def spec_from_json(content: dict[str, Any]) -> EnvSpec:
     """Return the specification behind ``dataclasses.asdict(spec)``."""
     return EnvSpec(**{**content, "panda": PandaReachConfig(**content.get("panda", {}))})
-
-
-class ActionRepeat(gymnasium.Wrapper):
-    """Holds an action for several steps, stopping at the end of the episode.
-
-    Rewards are summed. The information is reduced to ``success`` (at any of the steps) and ``env_steps`` (how many
-    there were), which is all that crosses the border between processes.
-    """
-
-    def __init__(self, env: gymnasium.Env, repeat: int):
-        super().__init__(env)
-        self._repeat = repeat
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Start an episode."""
-        observation, _ = self.env.reset(seed=seed, options=options)
-        return observation, {}
-
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Hold the action."""
-        total, success, steps = 0.0, False, 0
-        terminated = truncated = False
-        observation: Any = None
-        while steps < self._repeat and not (terminated or truncated):
-            observation, reward, terminated, truncated, info = self.env.step(action)
-            total += float(reward)
-            success = success or bool(info.get("success", False))
-            steps += 1
-        return observation, total, terminated, truncated, {"success": success, "env_steps": steps}
-
-
-class StateObservation(gymnasium.ObservationWrapper):
-    """The environment's own observation as float32."""
-
-    def __init__(self, env: gymnasium.Env):
-        super().__init__(env)
-        box = env.observation_space
-        assert isinstance(box, gymnasium.spaces.Box)
-        # Meta-World's bounds change with the task's goal, so they cannot be compared between processes.
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, box.shape, np.float32)
-
-    def observation(self, observation: ndarray) -> ndarray:
-        """Return the same numbers as float32."""
-        return observation.astype(np.float32)
 
 
 def make_env(spec: EnvSpec, encoder: Any = None, device: str = "cpu") -> tuple[gymnasium.Env, Scene | None]:
@@ -101,17 +59,15 @@ def make_env(spec: EnvSpec, encoder: Any = None, device: str = "cpu") -> tuple[g
         device: to run the encoder on.
 
     Raises:
-        UserError: no such scene, an episode longer than the scene allows, an encoder of another scene.
+        UserError: no such scene, one without a reward, observations or actions that are no vectors, an episode longer
+            than Meta-World allows, an encoder of another scene.
     """
-    if spec.scene != PANDA_REACH and not spec.scene.startswith(METAWORLD):
-        available = f"{METAWORLD}TASK, for example {METAWORLD}drawer-open-v3, and {PANDA_REACH}"
-        raise UserError(f"unknown scene '{spec.scene}'; available: {available}")
     use_one_software_thread()
     scene = None if spec.scene == PANDA_REACH else _make_scene(spec)
-    env: gymnasium.Env = PandaReach(spec.panda) if scene is None else scene.env
+    env: gymnasium.Env = PandaReach(spec.panda) if scene is None else with_unit_actions(scene.env)
     env = ActionRepeat(gymnasium.wrappers.TimeLimit(env, spec.episode_steps), spec.action_repeat)
     if scene is None or spec.encoder is None:
-        return StateObservation(env), scene
+        return StateObservation(with_flat_observation(env)), scene
     from nerf_rl.rl.environments.observation import (
         LatentObservation,  # it loads torch, which a state worker does without
     )
@@ -119,6 +75,14 @@ def make_env(spec: EnvSpec, encoder: Any = None, device: str = "cpu") -> tuple[g
     latent = LatentObservation(env, encoder or spec.encoder, scene.proprio, device)
     compare_scenes(latent.encoder.scene, spec.scene)
     return latent, scene
+
+
+def make_goal_task(spec: EnvSpec) -> GoalTask | None:
+    """Return what hindsight needs to know of a task; None for scenes whose goals cannot be exchanged."""
+    if spec.scene == PANDA_REACH:
+        return reach_task(spec.panda)
+    env = _make_scene(spec).env
+    return DictGoalTask(env) if spec.encoder is None and has_goal(env) else None
 
 
 def check_scene(spec: EnvSpec) -> tuple[str, ...]:
@@ -151,6 +115,14 @@ def reset_some(envs: gymnasium.vector.VectorEnv, which: ndarray, seeds: list[int
 
 
 def _make_scene(spec: EnvSpec) -> Scene:
+    if spec.scene.endswith(MJCF_ENDINGS):
+        raise UserError(
+            f"{spec.scene} says nothing of a task: an MJCF file has no reward; register an environment of it with "
+            f"Gymnasium, as examples/reach_block.py does, and give {GYM}MODULE:ID as --scene"
+        )
+    if not spec.scene.startswith((METAWORLD, GYM)):
+        available = f"{METAWORLD}TASK, for example {METAWORLD}drawer-open-v3, {GYM}ID, for example {GYM}Reacher-v5"
+        raise UserError(f"unknown scene '{spec.scene}'; available: {available}, and {PANDA_REACH}")
     scene = make_scene(spec.scene)
     longest = getattr(scene.env.unwrapped, "max_path_length", None)
     if longest is not None and spec.episode_steps > longest:

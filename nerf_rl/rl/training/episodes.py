@@ -11,6 +11,7 @@ from numpy import ndarray
 
 from nerf_rl.metrics import wilson_interval
 from nerf_rl.rl.environments.make import reset_some
+from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS
 
 Act = Callable[[ndarray], ndarray]
 """From observations [E, O] to actions [E, A]."""
@@ -20,8 +21,8 @@ Act = Callable[[ndarray], ndarray]
 class Episodes:
     """What N evaluated episodes gave, in the order of their seeds."""
 
-    success: Bool[ndarray, "N"]
-    """at any step"""
+    success: Bool[ndarray, "N"] | None
+    """at any step; None where the environment does not tell"""
     returns: Float[ndarray, "N"]
     """sum of rewards until the episode was stopped"""
     length: Int[ndarray, "N"]
@@ -29,14 +30,11 @@ class Episodes:
 
     def summary(self) -> dict[str, Any]:
         """Return the counts and rates of ``summary.json``; the interval is Wilson's, 95 %."""
+        facts = {"episodes": len(self.returns), "mean_return": float(self.returns.mean())}
+        if self.success is None:
+            return facts
         low, high = wilson_interval(int(self.success.sum()), len(self.success))
-        return {
-            "episodes": len(self.success),
-            "success_rate": float(self.success.mean()),
-            "ci_low": low,
-            "ci_high": high,
-            "mean_return": float(self.returns.mean()),
-        }
+        return facts | {SUCCESS: float(self.success.mean()), LOW: low, HIGH: high}
 
 
 def evaluation_seeds(seed: int, episodes: int) -> list[int]:
@@ -66,21 +64,22 @@ def run_episodes(envs: gymnasium.vector.VectorEnv, act: Act, seeds: Sequence[int
     returns = np.zeros(len(seeds), np.float64)
     episode: list[int | None] = [None] * count
     slot_seeds = [seeds[0]] * count
-    restart = np.ones(count, np.bool_)
+    restart, told = np.ones(count, np.bool_), False
     while True:
         for env in np.flatnonzero(restart).tolist():
             episode[env] = waiting.pop(0) if waiting else None
             slot_seeds[env] = seeds[episode[env] or 0]
         if all(index is None for index in episode):
-            return Episodes(success, returns, length)
+            return Episodes(success if told else None, returns, length)
         if restart.any():
             observation = reset_some(envs, restart, slot_seeds)
         observation, reward, terminated, truncated, info = envs.step(act(observation))
         restart = terminated | truncated
+        told = told or "success" in info
         for env, index in enumerate(episode):
             if index is None:
                 continue
             returns[index] += reward[env]
             length[index] += info["env_steps"][env]
-            success[index] |= bool(info["success"][env])
+            success[index] |= told and bool(info["success"][env])
             restart[env] |= success[index] and not to_end

@@ -208,19 +208,15 @@ class Trainer:
         self.env_steps += int(info["env_steps"].sum())
         self._returns += reward
         self._length += info["env_steps"]
-        self._success |= info["success"].astype(np.bool_)
+        if "success" in info:
+            self._success |= info["success"].astype(np.bool_)
         done = terminated | truncated
         if not done.any():
             return next_observation
         for env in np.flatnonzero(done).tolist():
             self.episodes += 1
-            self.metrics.gather(
-                {
-                    "episode_return": self._returns[env],
-                    "episode_length": float(self._length[env]),
-                    "episode_success": float(self._success[env]),
-                }
-            )
+            figures = {"episode_return": self._returns[env], "episode_length": float(self._length[env])}
+            self.metrics.gather(figures | ({"episode_success": float(self._success[env])} if "success" in info else {}))
         return self._restart(done)
 
     def _explore(self, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E A"]:

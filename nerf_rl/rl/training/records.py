@@ -2,12 +2,17 @@
 
 import csv
 import io
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from nerf_rl.files.atomic import atomic_write, write_text
+from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS, tells_success
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 COLUMNS = (
     "env_steps",
@@ -66,16 +71,31 @@ class MetricsLog:
 
 
 def draw_learning_curve(path: Path, evaluations: list[dict[str, Any]], title: str) -> None:
-    """Draw success rate, with its 95 % interval, and return over environment steps."""
+    """Draw return over environment steps and, if it is known, success rate with its 95 % interval."""
     from matplotlib.figure import Figure  # takes half a second to import
 
-    figure = Figure(figsize=(8, 3), layout="constrained")
-    success, returns = figure.subplots(1, 2)
-    steps = [e["env_steps"] for e in evaluations]
-    success.plot(steps, [e["success_rate"] for e in evaluations], marker="o")
-    success.fill_between(steps, [e["ci_low"] for e in evaluations], [e["ci_high"] for e in evaluations], alpha=0.2)
-    success.set(ylim=(-0.03, 1.03), xlabel="environment steps", ylabel="success rate", title=title)
-    returns.plot(steps, [e["mean_return"] for e in evaluations], marker="o", color="tab:orange")
-    returns.set(xlabel="environment steps", ylabel="mean return until success")
+    told = tells_success(evaluations)
+    figure = Figure(figsize=(4 + 4 * told, 3), layout="constrained")
+    axes = figure.subplots(1, 1 + told, squeeze=False)[0]
+    if told:
+        draw_success(axes[0], evaluations)
+    draw_returns(axes[-1], evaluations)
+    axes[0].set_title(title)
     with atomic_write(path) as aside:
         figure.savefig(aside, format="png", dpi=120)
+
+
+def draw_success(axes: "Axes", evaluations: Sequence[Mapping[str, Any]]) -> None:
+    """Draw success rate, with its 95 % interval, over environment steps."""
+    steps = [e["env_steps"] for e in evaluations]
+    axes.plot(steps, [e[SUCCESS] for e in evaluations], marker="o")
+    axes.fill_between(steps, [e[LOW] for e in evaluations], [e[HIGH] for e in evaluations], alpha=0.2)
+    axes.set(ylim=(-0.03, 1.03), xlabel="environment steps", ylabel="success rate")
+
+
+def draw_returns(axes: "Axes", evaluations: Sequence[Mapping[str, Any]]) -> None:
+    """Draw mean return over environment steps."""
+    label = "mean return until success" if tells_success(evaluations) else "mean return"
+    steps = [e["env_steps"] for e in evaluations]
+    axes.plot(steps, [e["mean_return"] for e in evaluations], marker="o", color="tab:orange")
+    axes.set(xlabel="environment steps", ylabel=label)

@@ -11,6 +11,8 @@ from nerf_rl.pictures.images import colour_depth, colour_labels
 from nerf_rl.pretrain.model.conditioned_field import ConditionedField
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 from nerf_rl.pretrain.model.ray_rendering import RenderedImages
+from nerf_rl.rl.training.evaluation_results import tells_success
+from nerf_rl.rl.training.records import draw_returns, draw_success
 from nerf_rl.viewer.drawing.charts import lines_chart, rasterise
 from nerf_rl.viewer.drawing.pictures import caption, magnify, side_by_side, stack
 from nerf_rl.viewer.drawing.slides import Slide
@@ -61,13 +63,12 @@ def _evaluation_chart(evaluations: list[dict[str, Any]]) -> UInt8[ndarray, "A B 
     from matplotlib.figure import Figure  # takes half a second to import
 
     figure = Figure(figsize=(4.4, 3.6), dpi=100, layout="constrained")
-    success, returns = figure.subplots(2, 1, sharex=True)
-    steps = [e["env_steps"] for e in evaluations]
-    success.plot(steps, [e["success_rate"] for e in evaluations], marker="o")
-    success.fill_between(steps, [e["ci_low"] for e in evaluations], [e["ci_high"] for e in evaluations], alpha=0.2)
-    success.set(ylim=(-0.03, 1.03), ylabel="success rate", title="evaluations, 95 % interval")
-    returns.plot(steps, [e["mean_return"] for e in evaluations], marker="o", color="tab:orange")
-    returns.set(xlabel="environment steps", ylabel="return until success")
+    told = tells_success(evaluations)
+    axes = figure.subplots(1 + told, 1, sharex=True, squeeze=False)[:, 0]
+    if told:
+        draw_success(axes[0], evaluations)
+        axes[0].set(xlabel="", title="evaluations, 95 % interval")
+    draw_returns(axes[-1], evaluations)
     return rasterise(figure)
 
 
@@ -93,6 +94,7 @@ def episode_slide(agent: Agent, episode: ActedEpisode, step: int) -> Slide:
 def _numbers(episode: ActedEpisode, step: int) -> str:
     acted = min(step, len(episode.rollout.rewards) - 1)
     value = "" if episode.values is None else f"   Q {episode.values[acted]:.2f}"
-    success = "   SUCCESS" if step > 0 and episode.rollout.success[:step].any() else ""
+    solved = episode.rollout.success
+    success = "   SUCCESS" if step > 0 and solved is not None and solved[:step].any() else ""
     actions = " ".join(f"{a:+.2f}" for a in episode.rollout.actions[acted])
     return f"step {step}   reward {episode.rollout.rewards[acted]:.2f}{value}   action {actions}{success}"

@@ -108,12 +108,10 @@ class AgentView:
                 self._plot = ColumnsPanel(self.server.gui, [name.replace(" ", "_") for name in lines])
         columns = {name.replace(" ", "_"): np.asarray(values, np.float64) for name, values in lines.items()}
         self._plot.show(EpisodeColumns(steps, columns), float(min(step, len(steps) - 1)))
-        solved = np.flatnonzero(episode.rollout.success)
-        outcome = f"**success** at step {solved[0] + 1}" if len(solved) else "no success"
         acted = min(step, len(steps) - 1)
         value = "" if episode.values is None else f", Q {episode.values[acted]:.2f}"
         self.status.content = (
-            f"seed {episode.seed}, step **{step}** of {len(episode) - 1}, {outcome}; "
+            f"seed {episode.seed}, step **{step}** of {len(episode) - 1}, {episode.rollout.outcome()}; "
             f"reward {episode.rollout.rewards[acted]:.2f}{value}"
         )
 

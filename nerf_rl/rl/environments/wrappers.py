@@ -1,0 +1,133 @@
+"""What stands between a scene's environment and an agent: actions in [-1, 1], held, and flat observations."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box, Dict
+from gymnasium.wrappers import FlattenObservation, RescaleAction
+from jaxtyping import Float
+from numpy import ndarray
+
+from nerf_rl.errors import UserError
+from nerf_rl.scenes.base import success_in
+
+OBSERVATION, ACHIEVED, DESIRED = "observation", "achieved_goal", "desired_goal"
+"""parts of a goal environment's observation, after Gymnasium-Robotics"""
+
+
+class ActionRepeat(gymnasium.Wrapper):
+    """Holds an action for several steps, stopping at the end of the episode.
+
+    Rewards are summed. The information is reduced to ``env_steps`` (how many there were) and, if the environment tells,
+    ``success`` (at any of them), which is all that crosses the border between processes.
+    """
+
+    def __init__(self, env: gymnasium.Env, repeat: int):
+        super().__init__(env)
+        self._repeat = repeat
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start an episode."""
+        observation, _ = self.env.reset(seed=seed, options=options)
+        return observation, {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Hold the action."""
+        total, steps = 0.0, 0
+        told: list[bool] = []
+        terminated = truncated = False
+        observation: Any = None
+        while steps < self._repeat and not (terminated or truncated):
+            observation, reward, terminated, truncated, info = self.env.step(action)
+            total += float(reward)
+            success = success_in(info)
+            told += [] if success is None else [success]
+            steps += 1
+        return (
+            observation,
+            total,
+            terminated,
+            truncated,
+            {"env_steps": steps, **({"success": any(told)} if told else {})},
+        )
+
+
+class StateObservation(gymnasium.ObservationWrapper):
+    """The environment's own observation as float32."""
+
+    def __init__(self, env: gymnasium.Env):
+        super().__init__(env)
+        box = env.observation_space
+        assert isinstance(box, Box)
+        # Meta-World's bounds change with the task's goal, so they cannot be compared between processes.
+        self.observation_space = Box(-np.inf, np.inf, box.shape, np.float32)
+
+    def observation(self, observation: ndarray) -> ndarray:
+        """Return the same numbers as float32."""
+        return observation.astype(np.float32)
+
+
+class GoalObservation(gymnasium.ObservationWrapper):
+    """A goal environment's dictionary as one vector: observation, achieved goal, desired goal."""
+
+    def __init__(self, env: gymnasium.Env):
+        super().__init__(env)
+        assert has_goal(env)
+        size = sum(goal_sizes(env))
+        self.observation_space = Box(-np.inf, np.inf, (size,), np.float64)
+
+    def observation(self, observation: dict[str, ndarray]) -> Float[ndarray, "O"]:
+        """Return the parts one after another."""
+        return np.concatenate([np.ravel(observation[part]) for part in (OBSERVATION, ACHIEVED, DESIRED)])
+
+
+def has_goal(env: gymnasium.Env) -> bool:
+    """Tell whether an environment is one with exchangeable goals, as Gymnasium-Robotics defines them."""
+    space = env.observation_space
+    parts = isinstance(space, Dict) and set(space.spaces) == {OBSERVATION, ACHIEVED, DESIRED}
+    return parts and hasattr(env.unwrapped, "compute_reward")
+
+
+def goal_sizes(env: gymnasium.Env) -> tuple[int, int, int]:
+    """Return how many numbers the observation, the achieved goal and the desired goal have."""
+    space = env.observation_space
+    assert isinstance(space, Dict)
+    first, second, third = (int(np.prod(space[part].shape or ())) for part in (OBSERVATION, ACHIEVED, DESIRED))
+    return first, second, third
+
+
+def with_flat_observation(env: gymnasium.Env) -> gymnasium.Env:
+    """Return an environment whose observation is one vector.
+
+    Raises:
+        UserError: its observation is not made of numbers in vectors.
+    """
+    if has_goal(env):
+        return GoalObservation(env)
+    if isinstance(env.observation_space, Box) and len(env.observation_space.shape) == 1:
+        return env
+    flat = FlattenObservation(env) if env.observation_space.is_np_flattenable else env
+    if not isinstance(flat.observation_space, Box):
+        raise UserError(f"observations of {_label(env)} are no vectors of numbers: {env.observation_space}")
+    return flat
+
+
+def with_unit_actions(env: gymnasium.Env) -> gymnasium.Env:
+    """Return an environment that takes actions in [-1, 1], as agents give them.
+
+    Raises:
+        UserError: it has no continuous actions, or they have no limits.
+    """
+    space = env.action_space
+    if not isinstance(space, Box) or len(space.shape) != 1:
+        raise UserError(f"actions of {_label(env)} are no vectors of numbers: {space}")
+    if not (np.isfinite(space.low).all() and np.isfinite(space.high).all()):
+        raise UserError(f"actions of {_label(env)} have no limits, so [-1, 1] cannot be scaled to them: {space}")
+    if (space.low == -1).all() and (space.high == 1).all():
+        return env
+    return RescaleAction(env, np.float32(-1.0), np.float32(1.0))
+
+
+def _label(env: gymnasium.Env) -> str:
+    return env.spec.id if env.spec is not None else type(env.unwrapped).__name__

@@ -1,0 +1,209 @@
+"""Agents in Gymnasium environments: from the true state, from a latent, with goals, and in a scene of one's own."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+from tiny_recipes import TINY_DATASET, TINY_PRETRAINING, TINY_TRAINING
+
+from nerf_rl import cli
+from nerf_rl.errors import UserError
+from nerf_rl.rl.environments.goals import DictGoalTask
+from nerf_rl.rl.environments.make import EnvSpec, make_env, make_goal_task
+from nerf_rl.rl.environments.wrappers import with_flat_observation, with_unit_actions
+from nerf_rl.rl.rollout import rollout
+from nerf_rl.scenes.base import success_in
+from nerf_rl.scenes.make import make_scene
+
+ROOT = Path(__file__).parents[2]
+RECIPE = str(ROOT / "rl" / "gym.yaml")
+CAMERAS = "rig: {encoder: [view_0, view_1], test: [view_2], random: {count: 1}}\n"
+REACHER, BLOCK = "gym/Reacher-v5", "gym/reach_block:ReachBlock-v0"
+
+
+class Slider(gymnasium.Env):
+    """A mass on a rail that has to come to a goal; the observation is a goal environment's dictionary."""
+
+    XML = """<mujoco><worldbody><geom type="plane" size="1 1 0.1"/><body name="cart"><joint name="rail" type="slide"
+    axis="1 0 0" damping="1"/><geom size="0.05"/></body></worldbody><actuator><motor joint="rail" gear="3"
+    ctrlrange="-2 2" ctrllimited="true"/></actuator></mujoco>"""
+
+    def __init__(self) -> None:
+        self.model = mujoco.MjModel.from_xml_string(self.XML)
+        self.data = mujoco.MjData(self.model)
+        self.action_space = gymnasium.spaces.Box(-2.0, 2.0, (1,), np.float32)
+        parts = {"observation": 2, "achieved_goal": 1, "desired_goal": 1}
+        boxes = {name: gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float64) for name, size in parts.items()}
+        self.observation_space = gymnasium.spaces.Dict(boxes)
+        self.goal = np.zeros(1)
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict[str, Any], dict]:
+        super().reset(seed=seed)
+        mujoco.mj_resetData(self.model, self.data)
+        mujoco.mj_forward(self.model, self.data)
+        self.goal = self.np_random.uniform(-0.3, 0.3, 1)
+        return self._get_obs(), {}
+
+    def step(self, action: np.ndarray) -> tuple[dict[str, Any], float, bool, bool, dict]:
+        self.data.ctrl[:] = action
+        mujoco.mj_step(self.model, self.data, 10)
+        reward = self.compute_reward(self.data.qpos, self.goal, {})
+        return self._get_obs(), reward, False, False, {"is_success": np.float32(reward == 0.0)}
+
+    def compute_reward(self, achieved: np.ndarray, desired: np.ndarray, info: dict) -> float:
+        """Take one goal at a time, as an environment may."""
+        assert achieved.shape == desired.shape == (1,)
+        return -float(abs(achieved - desired)[0] > 0.05)
+
+    def _get_obs(self) -> dict[str, Any]:
+        state = np.concatenate([self.data.qpos, self.data.qvel])
+        return {"observation": state, "achieved_goal": self.data.qpos.copy(), "desired_goal": self.goal.copy()}
+
+
+gymnasium.register("Slider-v0", entry_point=Slider, max_episode_steps=20)
+SLIDER = "gym/test_rl_gymnasium:Slider-v0"
+
+
+@pytest.fixture(autouse=True)
+def findable(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let worker processes import the example and this file, as a user's PYTHONPATH does."""
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    assert str(Path(__file__).parent) in sys.path
+
+
+def train(out: Path, *arguments: str) -> int:
+    return cli.main(["train-rl", "--config", RECIPE, "--out", str(out), *TINY_TRAINING, *arguments])
+
+
+@pytest.fixture(scope="module", params=[REACHER, BLOCK])
+def encoder_of(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
+    """A scene's name and a tiny encoder of it."""
+    folder, scene = tmp_path_factory.mktemp("gym"), request.param
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(ROOT / "examples"))
+        before, _, after = TINY_DATASET.partition("rig:")
+        rest = after[after.index("validation_fraction") :]
+        (folder / "data.yaml").write_text(before.replace("metaworld/drawer-open-v3", scene) + CAMERAS + rest)
+        (folder / "pretrain.yaml").write_text(TINY_PRETRAINING)
+        data, encoder = folder / "data", folder / "encoder"
+        assert cli.main(["gen-dataset", "--config", str(folder / "data.yaml"), "--out", str(data)]) == 0
+        words = ["--config", str(folder / "pretrain.yaml"), "--data", str(data), "--out", str(encoder)]
+        assert cli.main(["pretrain", *words]) == 0
+    return scene, encoder
+
+
+def test_a_latent_agent_trains_evaluates_and_is_shown(encoder_of: tuple[str, Path], tmp_path: Path):
+    scene, encoder = encoder_of
+    run, test = tmp_path / "run", tmp_path / "test"
+    assert train(run, "--scene", scene, "--encoder", str(encoder)) == 0
+    words = ["--run", str(run), "--out", str(test), "--episodes", "2", "--video", "true", "--video_episodes", "1"]
+    assert cli.main(["evaluate", *words, "--video_size", "64"]) == 0
+    assert (test / "episodes.mp4").stat().st_size > 1000
+    page = tmp_path / "page.html"
+    assert cli.main(["report", "--agent", str(run), "--out", str(page), "--episodes", "1"]) == 0
+    assert cli.main(["view", str(run), "--save", str(tmp_path / "view.html")]) == 0
+    tells = scene == BLOCK
+    for folder in (run, test):
+        summary = json.loads((folder / "summary.json").read_text())
+        assert ("success_rate" in summary.get("evaluations", [summary])[-1]) == tells
+    assert ("95 % interval" in page.read_text()) == tells  # in words, table and caption
+
+
+def test_a_latent_agent_knows_its_joints_and_nothing_else(encoder_of: tuple[str, Path]):
+    """Where the target or the block is has to come through the cameras."""
+    scene, encoder = encoder_of
+    env, made = make_env(EnvSpec(scene, str(encoder), 1, 20))
+    assert made is not None
+    forbidden = ("target", "block", "goal")
+    assert made.proprio_names and not [n for n in made.proprio_names if any(word in n for word in forbidden)]
+    observation, _ = env.reset(seed=0)
+    joints = made.data.qpos[: (len(made.proprio_names)) // 2]
+    np.testing.assert_allclose(observation[8 : 8 + len(joints)], joints, rtol=1e-5)
+    env.close()
+
+
+def test_a_video_is_of_the_scene_and_not_of_a_table_elsewhere(encoder_of: tuple[str, Path], tmp_path: Path):
+    scene, encoder = encoder_of
+    assert train(tmp_path / "run", "--scene", scene, "--encoder", str(encoder)) == 0
+    episode = rollout(tmp_path / "run", view_size=64)
+    assert (episode.success is None) == (scene == REACHER)
+    made = make_scene(scene)
+    made.env.reset(seed=0)
+    middle = episode.view[0][16:48, 16:48].reshape(-1, 3)
+    assert middle.std(0).max() > 20  # the arm, not an empty floor
+    assert (episode.view[0] != episode.view[-1]).any()
+
+
+def test_actions_are_scaled_to_the_environments_own():
+    env, scene = make_env(EnvSpec("gym/Pusher-v5", None, 1, 20))
+    assert scene is not None and scene.env.action_space.high.max() == 2.0
+    assert env.action_space.low.min() == -1.0 and env.action_space.high.max() == 1.0
+    env.reset(seed=0)
+    env.step(np.full(7, 0.5, np.float32))
+    np.testing.assert_allclose(scene.data.ctrl, 1.0)
+    env.close()
+
+
+def test_what_cannot_be_acted_in_is_told(capsys: pytest.CaptureFixture[str], tmp_path: Path):
+    assert train(tmp_path / "run", "--scene", "datasets/scenes/blocks.xml") == 2
+    assert "an MJCF file has no reward" in capsys.readouterr().err
+    assert train(tmp_path / "run", "--scene", "gym/Reacher-v9") == 2
+    assert train(tmp_path / "run", "--scene", REACHER, "--replay.hindsight", "4") == 2
+    assert "--replay.hindsight needs a scene with a goal" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+    env = gymnasium.Env()
+    env.action_space = gymnasium.spaces.Box(-np.inf, np.inf, (2,))
+    with pytest.raises(UserError, match="actions of Env have no limits"):
+        with_unit_actions(env)
+    env.action_space = gymnasium.spaces.Discrete(3)
+    with pytest.raises(UserError, match="actions of Env are no vectors of numbers"):
+        with_unit_actions(env)
+    env.observation_space = gymnasium.spaces.Graph(gymnasium.spaces.Discrete(3), None)
+    with pytest.raises(UserError, match="observations of Env are no vectors of numbers"):
+        with_flat_observation(env)
+
+
+def test_dictionaries_without_goals_become_vectors():
+    env = Slider()
+    env.observation_space = gymnasium.spaces.Dict(
+        {"a": gymnasium.spaces.Box(-1, 1, (2, 2)), "b": gymnasium.spaces.Box(-1, 1, (3,))}
+    )
+    assert with_flat_observation(env).observation_space.shape == (7,)
+
+
+def test_success_is_read_under_both_names_and_absent_without():
+    assert success_in({"is_success": np.float32(1.0)}) is True
+    assert success_in({"success": 0.0, "other": 1}) is False
+    assert success_in({"reward_dist": 1.0}) is None
+
+
+def test_goals_are_exchanged_as_the_environment_would():
+    """The reward and the observation of another goal equal those of an environment whose goal that is."""
+    task = make_goal_task(EnvSpec(SLIDER, None, 1, 20))
+    assert isinstance(task, DictGoalTask)
+    env, scene = make_env(EnvSpec(SLIDER, None, 1, 20))
+    assert scene is not None
+    observation, _ = env.reset(seed=1)
+    np.testing.assert_allclose(task.achieved(observation), scene.data.qpos, atol=1e-6)
+    other: Any = scene.env.unwrapped
+    for goal in ([0.0], [0.2]):
+        other.goal = np.array(goal)
+        for _ in range(3):
+            wanted, reward, terminated, _, _ = env.step(np.array([0.4], np.float32))
+            relived = task.with_goal(observation, np.array(goal))
+            assert relived[-1] == np.float32(goal[0]) and (relived[:-1] == observation[:-1]).all()
+            rewards, ends = task.outcome(task.achieved(wanted)[None], np.array([goal]))
+            assert (rewards[0], ends[0]) == (reward, terminated)
+            observation = wanted
+    env.close()
+
+
+def test_hindsight_learns_a_sparse_goal_environment(tmp_path: Path):
+    assert train(tmp_path / "run", "--scene", SLIDER, "--replay.hindsight", "4") == 0
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["updates"] > 0 and 0.0 <= summary["evaluations"][-1]["success_rate"] <= 1.0
