@@ -19,7 +19,7 @@ import yaml
 
 from nerf_rl import cli
 from nerf_rl.errors import FailureError, UserError
-from nerf_rl.files.checksummed_json import CHECKSUM
+from nerf_rl.files.checksummed_json import CHECKSUM, with_checksum
 
 KINDS = ("recipe", "manifest", "plan", "shard", "encoder.json", "field.json", "policy.json", "weights", "checkpoint")
 RESULT, SENTENCE, TRACEBACK, HANG, MEMORY, EXECUTED = OUTCOMES = (

@@ -15,6 +15,7 @@ from nerf_rl.datasets.storage.frames import read_frame
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS
 from nerf_rl.errors import UserError
+from nerf_rl.files.checksummed_json import with_checksum
 from nerf_rl.files.json_files import json_text
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 

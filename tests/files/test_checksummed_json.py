@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nerf_rl.files.checksummed_json import is_whole, write_checksummed
+from nerf_rl.files.checksummed_json import is_whole, with_checksum, write_checksummed
 
 CONTENT = {"name": "drawer", "far": 0.1, "shards": [{"file": "a", "frames": 3}], "none": None}
 
