@@ -174,7 +174,7 @@ class TrainRLConfig:
     encoder: str = NO_ENCODER
     """run folder of pretrain, exported encoder or Lightning .ckpt; none observes the true state"""
     scene: str = "metaworld/drawer-open-v3"
-    """metaworld/TASK, or panda/reach (extra panda); with an encoder it must be the encoder's scene"""
+    """metaworld/TASK, gym/ID, gym/MODULE:ID or panda/reach (extra panda); with an encoder, the encoder's scene"""
     panda: PandaReachConfig = field(default_factory=PandaReachConfig)
     """panda/reach only"""
     env_steps: int = 50_000
@@ -184,7 +184,7 @@ class TrainRLConfig:
     action_repeat: int = 2
     """environment steps for which an action is held"""
     episode_steps: int = 200
-    """environment steps after which an episode is truncated"""
+    """environment steps after which an episode is truncated, unless a Gymnasium environment ends it sooner"""
     envs: int = 2
     """environments, each in a process of its own"""
     warmup_steps: int = 2_000

@@ -44,6 +44,11 @@ def test_the_order_of_views_does_not_matter():
 
 
 @torch.no_grad()
+def test_encoding_takes_the_cameras_from_the_encoders_own_rig():
+    encoder, (images, projections) = make_encoder(), inputs()
+    torch.testing.assert_close(encoder.encode(images), encoder(images, projections), atol=0, rtol=0)
+
+
 def test_it_matters_which_camera_an_image_came_from():
     encoder, (images, projections) = make_encoder(), inputs()
     z, swapped = encoder(images, projections), encoder(images[:, [1, 0, 2]], projections)

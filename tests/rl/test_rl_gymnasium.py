@@ -207,3 +207,11 @@ def test_hindsight_learns_a_sparse_goal_environment(tmp_path: Path):
     assert train(tmp_path / "run", "--scene", SLIDER, "--replay.hindsight", "4") == 0
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert summary["updates"] > 0 and 0.0 <= summary["evaluations"][-1]["success_rate"] <= 1.0
+
+
+def test_goal_environments_of_gymnasium_robotics_train_with_hindsight(tmp_path: Path):
+    pytest.importorskip("gymnasium_robotics")
+    scene = "gym/gymnasium_robotics:FetchReach-v4"
+    assert train(tmp_path / "run", "--scene", scene, "--replay.hindsight", "4") == 0
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["updates"] > 0 and "success_rate" in summary["evaluations"][-1]

@@ -109,10 +109,8 @@ def linear_probe(
 def encode_frames(encoder: Encoder, dataset: MultiViewDataset, frames: ndarray) -> Float[ndarray, "N Z"]:
     """Return the latents (not standardised) of some frames, from the dataset's encoder cameras."""
     views = dataset.views("encoder")
-    device = encoder.latent_mean.device
-    projections = torch.from_numpy(encoder.rig.projections).to(device)
     latents = []
     for start in range(0, len(frames), _FRAMES_AT_ONCE):
-        images = torch.from_numpy(dataset.read("rgb", frames[start : start + _FRAMES_AT_ONCE])[:, views]).to(device)
-        latents.append(encoder(images, projections.expand(len(images), -1, -1, -1)).cpu().numpy())
+        images = torch.from_numpy(dataset.read("rgb", frames[start : start + _FRAMES_AT_ONCE])[:, views])
+        latents.append(encoder.encode(images).cpu().numpy())
     return np.concatenate(latents).astype(np.float64)

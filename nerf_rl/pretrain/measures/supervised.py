@@ -44,13 +44,11 @@ def train_supervised(
     parameters = [*encoder.parameters(), *head.parameters()]
     optimiser = torch.optim.Adam(parameters, lr=_LEARNING_RATE, betas=(0.9, 0.99), fused=True)
     schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda step: _rate(step / steps))
-    projections = torch.from_numpy(rig.projections)
     with Progress(steps, "steps of the supervised encoder") as progress:
         for _ in range(steps):
             chosen = rng.integers(len(frames), size=_FRAMES_PER_STEP)
             images = torch.from_numpy(dataset.read("rgb", frames[chosen])[:, views])
-            latent = encoder(images, projections.expand(len(images), -1, -1, -1))
-            loss = F.mse_loss(head(latent), target[chosen])
+            loss = F.mse_loss(head(encoder.encode(images)), target[chosen])
             optimiser.zero_grad()
             loss.backward()
             nn.utils.clip_grad_norm_(parameters, _LONGEST_GRADIENT)

@@ -89,6 +89,12 @@ class Encoder(nn.Module):
         with in_full_precision(each.device):
             return self.merged(each.to(projections.dtype).reshape(batch, views, -1).mean(1))
 
+    def encode(self, images: UInt8[Tensor, "B V H W 3"]) -> Float[Tensor, "B Z"]:
+        """Return z of what the rig's own cameras saw; the images may be on another device."""
+        device = self.latent_mean.device
+        projections = torch.from_numpy(self.rig.projections).to(device)
+        return self(images.to(device), projections.expand(len(images), -1, -1, -1))
+
     def standardise(self, latent: Float[Tensor, "B Z"]) -> Float[Tensor, "B Z"]:
         """Return latents with zero mean and unit deviation over the training data."""
         return (latent - self.latent_mean) / self.latent_std

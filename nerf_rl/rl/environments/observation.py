@@ -55,9 +55,6 @@ class LatentObservation(gymnasium.ObservationWrapper):
         self._proprio = proprio
         self._renderer: MultiViewRenderer | None = None
         self._render_data: RenderData | None = None
-        self._device = self.encoder.latent_mean.device
-        projections = torch.as_tensor(self.encoder.rig.projections, dtype=torch.float32, device=self._device)
-        self._projections = projections[None]
         box = env.observation_space
         example = np.zeros(box.shape or (), box.dtype)
         size = self.encoder.latent_size + (0 if proprio is None else len(proprio(example)))
@@ -67,7 +64,7 @@ class LatentObservation(gymnasium.ObservationWrapper):
         """Look at the scene as it is now and return [latent, proprioception]."""
         self.last_images = self._render()
         with torch.inference_mode():
-            latent = self.encoder(torch.from_numpy(self.last_images).to(self._device)[None], self._projections)
+            latent = self.encoder.encode(torch.from_numpy(self.last_images)[None])
             standardised = self.encoder.standardise(latent)[0]
         self.last_latent = latent[0].float().cpu().numpy()
         parts = [standardised.float().cpu().numpy()]

@@ -31,15 +31,12 @@ class EncodedDataset:
         self.dataset = dataset
         self.encoder = Encoder.load(path).to(device)
         self.field = RadianceField.load(folder).requires_grad_(False).to(device)
-        self._device = torch.device(device)
         self._views = dataset.views("encoder")
-        self._projections = torch.from_numpy(self.encoder.rig.projections)[None].to(device)
 
     @torch.inference_mode()
     def latent(self, frame: Frame) -> Float[Tensor, "Z"]:
         """Return a frame's latent, not standardised."""
-        images = torch.from_numpy(frame.rgb[self._views])[None].to(self._device)
-        return self.encoder(images, self._projections)[0]
+        return self.encoder.encode(torch.from_numpy(frame.rgb[self._views])[None])[0]
 
     def folded(self, latent: Float[Tensor, "Z"]) -> ConditionedField:
         """Return the field of the scene that a latent describes."""
