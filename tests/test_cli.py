@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from nerf_rl import __version__, cli
+from nerf_rl.arguments.parsing import RENAMED
 from nerf_rl.errors import FailureError, UserError
 
 HEAVY = {"torch", "torchrl", "lightning", "mujoco", "metaworld", "gymnasium", "jsonargparse", "h5py", "numpy"}
@@ -121,6 +122,18 @@ def test_an_unknown_key_is_answered_with_the_keys_there_are(name: str, capsys: p
     message = capsys.readouterr().err
     assert "unknown key 'flux_capacitor'" in message and "available: " in message
     assert message.count("\n") == 1
+
+
+@pytest.mark.parametrize("old", RENAMED)
+def test_a_key_of_an_earlier_version_is_answered_with_its_new_name(
+    old: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    """On the command line and in a recipe, where the key may stand in a mapping."""
+    recipe = tmp_path / "recipe.yaml"
+    recipe.write_text(f"{old.replace('.', ': {')}: 1{'}' * old.count('.')}")
+    for arguments in ([f"--{old}", "1"], ["--config", str(recipe)]):
+        assert cli.main(["pretrain", *arguments, "--data", "d", "--out", str(tmp_path / "out")]) == 2
+        assert f"key '{old}' is now '{RENAMED[old]}'" in capsys.readouterr().err
 
 
 def test_an_unknown_key_in_a_recipe_is_answered_like_one_on_the_command_line(

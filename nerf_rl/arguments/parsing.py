@@ -15,6 +15,13 @@ from nerf_rl.arguments.limits import require_finite
 from nerf_rl.arguments.recipes import check_recipe
 from nerf_rl.errors import UnknownNameError, UserError
 
+RENAMED = {
+    "radiance_field.moving_frames": "radiance_field.free_frames",
+    "sampling.training_approach": "sampling.training_free_space",
+    "sampling.approach_reach": "sampling.free_space_reach",
+    "sharp_at": "coarse_to_fine",
+}
+"""What keys of earlier versions are called now."""
 _ALONE = ("-h", "--help", "--print_config")  # keys without a value
 
 set_parsing_settings(docstring_parse_attribute_docstrings=True)
@@ -92,9 +99,13 @@ def _name_positional(arguments: Sequence[str], key: str) -> Iterator[str]:
 def _explain(message: str, config: type) -> UserError:
     """Turn the parser's message into one sentence that lists what is available."""
     message = re.sub(r"\s+", " ", message).strip()
+    message = re.sub(r"[Gg]roup '([^']+)' does not accept option '([^']+)'", r"Option '\1.\2' is not accepted", message)
     unknown = re.search(r"Option '([^']+)' is not accepted|[Uu]nrecognized arguments?: (?:--)?([^\s=]+)", message)
     if unknown:
-        return UnknownNameError("key", unknown.group(1) or unknown.group(2), set(_keys(config)))
+        name, known = unknown.group(1) or unknown.group(2), set(_keys(config))
+        if RENAMED.get(name) in known:
+            return UserError(f"key '{name}' is now '{RENAMED[name]}'")
+        return UnknownNameError("key", name, known)
     missing = re.search(r"the following arguments are required: (.+)", message)
     if missing:
         return UserError(f"missing --{missing.group(1).replace(', ', ', --')}")

@@ -77,9 +77,9 @@ class SamplingConfig:
     """depth beyond which everything is one backdrop [m]; from the data's depth if null"""
     training_stratified: int = 4
     """samples a training ray, evenly between near and far"""
-    training_approach: int = 3
+    training_free_space: int = 3
     """samples a training ray, on the last stretch before its known depth"""
-    approach_reach: float = 0.5
+    free_space_reach: float = 0.5
     """length of that stretch [m]"""
     training_surface: int = 3
     """samples a training ray, around its known depth"""
@@ -97,7 +97,7 @@ class SamplingConfig:
             raise UserError("sampling.training_importance needs at least 2 training_stratified samples")
         if self.training_stratified < 1 or self.rendering_stratified < 2:
             raise UserError("sampling: rays need at least 1 stratified sample in training and 2 in rendering")
-        counts = self.training_approach, self.training_surface, self.training_importance, self.rendering_importance
+        counts = self.training_free_space, self.training_surface, self.training_importance, self.rendering_importance
         if min(counts) < 0:
             raise UserError("sampling: numbers of samples must not be negative")
         if self.near is not None and self.far is not None and not 0 < self.near < self.far:
@@ -157,7 +157,7 @@ class PretrainConfig:
     """measure of a validation that ends the run, such as miou>=0.9, psnr_db>=24 or depth_mae_m<=0.03"""
     learning_rate: float = 7e-4
     """peak rate of Adam"""
-    sharp_at: float = 0.4
+    coarse_to_fine: float = 0.4
     """share of the run after which moving frames see all octaves of a point; before, the finer ones open one by one"""
     steps_per_epoch: int = 250
     """steps between two checkpoints"""
@@ -218,8 +218,8 @@ class PretrainConfig:
         require_seed(self.seed)
         if self.learning_rate <= 0:
             raise UserError(f"--learning_rate must be positive, got {self.learning_rate}")
-        if not 0 < self.sharp_at <= 1:
-            raise UserError(f"--sharp_at must be in (0, 1], got {self.sharp_at}")
+        if not 0 < self.coarse_to_fine <= 1:
+            raise UserError(f"--coarse_to_fine must be in (0, 1], got {self.coarse_to_fine}")
         if self.stop_when is not None:
             if self.objective != FIELD:
                 raise UserError(f"--stop_when needs validations, which --objective {self.objective} has none of")

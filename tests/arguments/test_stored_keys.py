@@ -41,7 +41,7 @@ def without(content: dict[str, Any], *path: str | int) -> dict[str, Any]:
 @pytest.mark.parametrize(
     "config, words, path",
     [
-        (PretrainConfig, ["--data", "d", "--out", "o"], ("sharp_at",)),
+        (PretrainConfig, ["--data", "d", "--out", "o"], ("coarse_to_fine",)),
         (PretrainConfig, ["--data", "d", "--out", "o"], ("radiance_field", "free_frames")),
         (TrainRLConfig, ["--out", "o"], ("noise", "hold_kind")),
         (TrainRLConfig, ["--out", "o"], ("learning_starts",)),

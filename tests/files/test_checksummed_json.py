@@ -31,5 +31,5 @@ def test_a_file_that_is_cut_longer_missing_or_no_mapping_is_not_whole(tmp_path: 
         assert not is_whole(path)
 
 
-def test_sealing_twice_is_sealing_once():
+def test_a_checksum_of_what_has_one_replaces_it():
     assert with_checksum(with_checksum(CONTENT)) == with_checksum(CONTENT) != with_checksum({**CONTENT, "far": 0.2})

@@ -15,7 +15,7 @@ def test_folding_changes_no_density_and_no_feature(anchors: int, free_frames: in
     config = FieldConfig(width=12, layers=3, frequencies=5, free_frames=free_frames, plane_size=8, plane_features=2)
     bounds = FieldBounds(0.2, 2.0, (0.1, 0.5, 0.2), 0.4)
     field = RadianceField(config, bounds, 6, 4, 0, anchors).requires_grad_(False)
-    field.sharpen(0.6)
+    field.set_coarse_to_fine(0.6)
     latent = torch.randn(6)
     points = torch.tensor(bounds.centre) + 2.0 * torch.randn(500, 3)
     density, features = ConditionedField(field, latent)(points)

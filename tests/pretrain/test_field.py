@@ -47,7 +47,7 @@ def test_contraction_keeps_directions_and_order_and_is_continuous_at_the_cube():
 @pytest.mark.parametrize("share", [0.3, 1.0])
 def test_frames_are_folded_into_what_encoding_a_point_in_each_of_them_gives(field: RadianceField, share: float):
     """The law by its definition: the first layer reads x and x - o of every frame, in sines and cosines of octaves."""
-    field.sharpen(share)
+    field.set_coarse_to_fine(share)
     points, latent = points_and_latents()
     x = contract((points - field.centre) / BOUNDS.half_extent)
     origins = (field.origins(latent) - field.centre) / BOUNDS.half_extent
@@ -132,13 +132,13 @@ def test_a_points_value_does_not_depend_on_the_points_beside_it(field: RadianceF
 def test_moving_frames_see_finer_octaves_as_the_field_is_sharpened(field: RadianceField):
     points, latent = points_and_latents()
     sharp = field(points, latent)
-    field.sharpen(0.0)
+    field.set_coarse_to_fine(0.0)
     assert field.octave_weights.tolist() == [1.0, 1.0, 0.0]
     blurred = field(points, latent)
     assert not torch.isclose(blurred[0], sharp[0]).all()
-    field.sharpen(0.5)
+    field.set_coarse_to_fine(0.5)
     torch.testing.assert_close(field.octave_weights, torch.tensor([1.0, 1.0, 0.5]))
-    field.sharpen(1.0)
+    field.set_coarse_to_fine(1.0)
     for now, then in zip(field(points, latent), sharp, strict=True):
         torch.testing.assert_close(now, then, atol=0, rtol=0)
 
@@ -151,14 +151,14 @@ def test_a_blurred_field_still_sees_fine_octaves_where_nothing_moves(field: Radi
     with torch.no_grad():
         field.layers[0].weight[:, still : still + moving] = 0.0
     sharp = field(points, latent)
-    field.sharpen(0.0)
+    field.set_coarse_to_fine(0.0)
     for blurred, expected in zip(field(points, latent), sharp, strict=True):
         torch.testing.assert_close(blurred, expected, atol=0, rtol=0)
 
 
 @pytest.mark.parametrize("share", [0.3, 1.0])
 def test_a_stored_field_is_the_same_field(field: RadianceField, tmp_path: Path, share: float):
-    field.sharpen(share)
+    field.set_coarse_to_fine(share)
     field.save(tmp_path)
     loaded = RadianceField.load(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["field.json", "field.safetensors"]

@@ -61,7 +61,7 @@ def test_a_training_step_stays_on_the_gpu():
     encoder, field, batch = make_encoder(), make_field(), make_batch()
     parameters = [*encoder.parameters(), *field.parameters()]
     optimiser = torch.optim.Adam(parameters, fused=True)
-    field.sharpen(0.5)
+    field.set_coarse_to_fine(0.5)
     shape = (SCENES, RAYS)
     noise = SampleNoise(torch.rand(*shape, 4), torch.rand(*shape, 3), torch.randn(*shape, 3))
     latent = encoder(batch.images, batch.projections)

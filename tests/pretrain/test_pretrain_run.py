@@ -227,7 +227,7 @@ def test_the_learning_rate_rises_and_then_falls_along_a_cosine(
 def test_training_sharpens_the_field_up_to_the_share_asked_for(
     tiny_dataset: Path, tiny_pretraining_recipe: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    module = make_module(tiny_dataset, tiny_pretraining_recipe, steps=1000, sharp_at=0.5)
+    module = make_module(tiny_dataset, tiny_pretraining_recipe, steps=1000, coarse_to_fine=0.5)
     monkeypatch.setattr(SnerlModule, "log_dict", lambda *_, **__: None)
     monkeypatch.setattr(SnerlModule, "log", lambda *_, **__: None)
     batch = RayBatches(module._dataset, module.config, measure(module._dataset, module.config))[0]

@@ -105,7 +105,7 @@ def test_with_known_depth_few_samples_find_the_same_surface():
     origins, directions, depth = rays()
     latent = torch.full((2, 1), RADIUS)
     rendered = rendering.render_depth_guided(SphereField(), latent, origins, directions, depth, SAMPLING, noise(0))
-    assert rendered.depths.shape[-1] == 4 + SAMPLING.training_approach + 16 + 1
+    assert rendered.depths.shape[-1] == 4 + SAMPLING.training_free_space + 16 + 1
     assert (rendered.depths.diff(dim=-1) >= 0).all() and (rendered.depths[..., -1] == 2.0).all()
     torch.testing.assert_close(rendered.weights.sum(-1), torch.ones_like(depth))
     assert float((rendered.depth - depth).abs().median()) < 0.01
@@ -118,7 +118,11 @@ def test_in_training_too_the_surface_is_found_without_known_depth():
     origins, directions, depth = rays()
     latent = torch.full((2, 1), RADIUS)
     sampling = SamplingConfig(
-        training_stratified=48, training_importance=32, training_approach=0, training_surface=0, rendering_stratified=48
+        training_stratified=48,
+        training_importance=32,
+        training_free_space=0,
+        training_surface=0,
+        rendering_stratified=48,
     )
     generator = torch.Generator().manual_seed(0)
     drawn = rendering.SampleNoise.draw(sampling, 2, SIZE * SIZE, generator, torch.device("cpu"))

@@ -104,7 +104,7 @@ def test_surface_samples_are_normal_around_the_surface_and_stay_within_bounds():
     assert float(samples.min()) == 0.5 and float(samples.max()) == 2.0
 
 
-def test_approach_samples_lie_before_the_surface_and_are_denser_towards_it():
+def test_free_space_samples_lie_before_the_surface_and_are_denser_towards_it():
     generator = torch.Generator().manual_seed(5)
     samples = free_space_samples(torch.tensor([1.0, 0.6]), 0.4, 0.5, torch.rand(2, 4000, generator=generator))
     assert float(samples[0].min()) == pytest.approx(0.6, abs=1e-3) and float(samples[0].max()) <= 1.0

@@ -57,8 +57,8 @@ class RadianceField(nn.Module):
     first layer is linear in [x, sin(a x), cos(a x)] for all frames together, so for each latent the frames' weights are
     folded into one matrix, and a point is encoded once.
 
-    While training looks for the origins, :meth:`sharpen` holds back the fine octaves in moving frames: with them, an
-    origin that is off by more than half a wavelength has no slope towards the right one.
+    While training looks for the origins, :meth:`set_coarse_to_fine` holds back the fine octaves in moving frames: with
+    them, an origin that is off by more than half a wavelength has no slope towards the right one.
 
     Args:
         config: sizes.
@@ -104,7 +104,7 @@ class RadianceField(nn.Module):
         self.register_buffer("octave_weights", torch.ones(config.frequencies))
         self.register_buffer("centre", torch.tensor(bounds.centre), persistent=False)
 
-    def sharpen(self, share: float) -> None:
+    def set_coarse_to_fine(self, share: float) -> None:
         """Let moving frames see their coarsest octaves (``share`` 0), all of them (1), or something between.
 
         Octave k has the weight (1 - cos(pi clamp(a - k, 0, 1))) / 2 with a growing from the number of coarse octaves to

@@ -77,7 +77,7 @@ class SampleNoise:
 
         return cls(
             torch.rand(counts(config.training_stratified), generator=generator, device=device),
-            torch.rand(counts(config.training_approach), generator=generator, device=device),
+            torch.rand(counts(config.training_free_space), generator=generator, device=device),
             torch.randn(counts(config.training_surface), generator=generator, device=device),
         )
 
@@ -102,7 +102,7 @@ def render_depth_guided(
     """
     near, far = field.bounds.near, field.bounds.far
     even = stratified_samples(near, far, noise.even)
-    before = free_space_samples(depth, config.approach_reach, near, noise.before)
+    before = free_space_samples(depth, config.free_space_reach, near, noise.before)
     around = surface_samples(depth, config.surface_deviation, near, far, noise.around)
     found = _found_density(field, latent, origins, directions, even, config.training_importance)
     backdrop = torch.full_like(depth[..., None], far)

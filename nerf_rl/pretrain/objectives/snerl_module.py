@@ -63,7 +63,7 @@ class SnerlModule(EncoderModule):
 
     def training_step(self, batch: RayBatch, step: int) -> Tensor:
         """Return the loss of a step, of this process's share of its scenes; log every loss by its name, of all."""
-        self.field.sharpen(min(self.progress() / self.config.sharp_at, 1.0))
+        self.field.set_coarse_to_fine(min(self.progress() / self.config.coarse_to_fine, 1.0))
         noise = self._noise(len(batch.images))
         shares = equal_shares(len(batch.images), self.threads)
         if len(shares) == 1:
