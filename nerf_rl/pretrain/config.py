@@ -140,7 +140,7 @@ class PretrainConfig:
     losses: LossConfig = field(default_factory=LossConfig)
     """weights of the losses"""
     teachers: list[str] = field(default_factory=lambda: list(TEACHERS))
-    """per-pixel features that the feature head learns, computed from depth: depth, normals"""
+    """per-pixel features that the feature head learns: depth, normals, or your own by module:Class"""
     scenes_per_step: int = 32
     """frames in a training step"""
     rays_per_scene: int = 64
@@ -192,7 +192,7 @@ class PretrainConfig:
 
     def __post_init__(self) -> None:
         for teacher in self.teachers:
-            if teacher not in TEACHERS:
+            if teacher not in TEACHERS and ":" not in teacher:
                 raise UnknownNameError("teacher", teacher, TEACHERS)
         choices = {"precision": PRECISIONS, "accelerator": ACCELERATORS, "strategy": STRATEGIES}
         for name, available in (choices | {"objective": OBJECTIVES}).items():

@@ -13,6 +13,7 @@ from nerf_rl.files.runs import SUMMARY, prepare_output, write_provenance
 from nerf_rl.machine.memory import peak_rss_mb
 from nerf_rl.machine.threads import wait_passively
 from nerf_rl.pretrain.config import PretrainConfig
+from nerf_rl.pretrain.data.teachers import find_teacher
 from nerf_rl.pretrain.execution.launch import rank_from_outside, run_on_each_device
 from nerf_rl.pretrain.measures.figures import describe_hardly_shown, describe_validation, hardly_shown
 from nerf_rl.pretrain.model.artefact import CHECKPOINT
@@ -30,6 +31,8 @@ def pretrain(config: PretrainConfig) -> None:
     if min(len(dataset.split(name)) for name in SPLIT_NAMES) < 2:  # probes need two
         raise UserError(f"{config.data} needs training and validation frames; generate more than one episode")
     EncoderRig.of_dataset(dataset)
+    for name in config.teachers:
+        find_teacher(name)
     rank = rank_from_outside(config)
     wait_passively()
     if config.accelerator == "gpu" or config.devices > 1:

@@ -14,7 +14,7 @@ from nerf_rl.pretrain.config import PretrainConfig, SamplingConfig
 from nerf_rl.pretrain.data.batches import RayBatch, RayBatches
 from nerf_rl.pretrain.data.data_module import MultiViewDataModule
 from nerf_rl.pretrain.data.statistics import measure
-from nerf_rl.pretrain.data.teachers import teacher_features
+from nerf_rl.pretrain.data.teachers import Pixels, Views, teacher_features
 
 VIEW_NAMES = ("top", "left", "right", "random_0")  # the first is a test camera, the last one supervises only
 
@@ -81,8 +81,9 @@ def test_rays_reproject_onto_the_pixels_that_they_were_drawn_from(dataset: Multi
             np.testing.assert_allclose(batch.rgb[scene, ray].numpy(), rgb[view, row, column] / 255, atol=1e-6)
             assert int(batch.semantic[scene, ray]) == semantic[view, row, column]
             assert float(batch.depth[scene, ray]) == pytest.approx(min(depth[view, row, column], far), rel=1e-6)
-            place = [np.array([i]) for i in (view, row, column)]
-            feature = teacher_features(settings.teachers, depth, intrinsics, poses[0], *place, far)
+            place = Pixels(*(np.array([i]) for i in (view, row, column)))
+            views = Views(rgb, depth, semantic, intrinsics, poses[0], far)
+            feature = teacher_features(settings.teachers, views, place)
             np.testing.assert_allclose(batch.feature[scene, ray].numpy(), feature[0], atol=1e-5)
     assert seen == {"left", "right", "random_0"}  # a test camera never supervises
 

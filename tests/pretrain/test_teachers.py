@@ -1,10 +1,17 @@
 """Feature teachers on surfaces whose normals are known."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from nerf_rl import cli
 from nerf_rl.cameras import geometry as cameras
-from nerf_rl.pretrain.data.teachers import WIDTHS, surface_normals, teacher_features
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.pretrain.data.batches import RayBatches
+from nerf_rl.pretrain.data.statistics import measure
+from nerf_rl.pretrain.data.teachers import TEACHERS, Pixels, Views, find_teacher, surface_normals, teacher_features
 
 SIZE, FAR = 40, 5.0
 
@@ -28,6 +35,12 @@ def plane_depth(intrinsics: np.ndarray, poses: np.ndarray, normal: np.ndarray) -
     """Return depth images of the plane through the origin."""
     origins, directions = rays(intrinsics, poses)
     return (-(origins @ normal) / (directions @ normal)).reshape(-1, SIZE, SIZE)
+
+
+def seen(depth: np.ndarray, intrinsics: np.ndarray, poses: np.ndarray) -> Views:
+    """Return views of a grey scene of one class."""
+    rgb = np.full((*depth.shape, 3), 128, np.uint8)
+    return Views(rgb, depth, np.zeros(depth.shape, np.uint8), intrinsics, poses, FAR)
 
 
 def every_pixel(images: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -75,9 +88,9 @@ def test_features_are_the_teachers_in_their_order():
     intrinsics, poses = some_cameras(2)
     depth = plane_depth(intrinsics, poses, np.array([0.0, 0.0, 1.0]))
     depth[1, 3, 4] = 30.0
-    image, row, column = np.array([0, 1, 1]), np.array([7, 3, 20]), np.array([9, 4, 30])
+    pixels = Pixels(np.array([0, 1, 1]), np.array([7, 3, 20]), np.array([9, 4, 30]))
     features = {
-        name: teacher_features(names, depth, intrinsics, poses, image, row, column, FAR)
+        name: teacher_features(names, seen(depth, intrinsics, poses), pixels)
         for name, names in {
             "d": ["depth"],
             "n": ["normals"],
@@ -91,9 +104,72 @@ def test_features_are_the_teachers_in_their_order():
     np.testing.assert_array_equal(features["nd"], np.concatenate([features["n"], features["d"]], axis=1))
 
 
-@pytest.mark.parametrize("name", WIDTHS)
+@pytest.mark.parametrize("name", TEACHERS)
 def test_a_teacher_is_as_wide_as_it_says(name: str):
     intrinsics, poses = some_cameras(1)
     depth = plane_depth(intrinsics, poses, np.array([0.0, 0.0, 1.0]))
     zero = np.zeros(2, int)
-    assert teacher_features([name], depth, intrinsics, poses, zero, zero, zero, FAR).shape == (2, WIDTHS[name])
+    features = teacher_features([name], seen(depth, intrinsics, poses), Pixels(zero, zero, zero))
+    assert features.shape == (2, find_teacher(name).width)
+
+
+OWN = """
+import numpy as np
+
+
+class Brightness:
+    width = 2
+
+    def features(self, views, pixels):
+        brightness = views.rgb[tuple(pixels)].mean(-1) / 255
+        return np.stack([brightness, views.semantic[tuple(pixels)] > 0], axis=1)
+
+
+class Narrow:
+    width = 0
+
+
+def broken():
+    raise RuntimeError("no weights")
+"""
+
+
+def test_a_teacher_of_ones_own_stands_in_a_file_outside_the_package(
+    tiny_dataset: Path, tiny_pretraining_recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """It sees colours and labels, and the field learns as many features as it says."""
+    (tmp_path / "own_teacher.py").write_text(OWN)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    words = ["--config", str(tiny_pretraining_recipe), "--data", str(tiny_dataset), "--out", str(tmp_path / "run")]
+    words += ["--teachers", "[own_teacher:Brightness, depth]"]
+    assert cli.main(["pretrain", *words]) == 0
+    assert json.loads((tmp_path / "run" / "field.json").read_text())["teacher_features"] == 3
+    dataset, config = MultiViewDataset(tiny_dataset), cli.parse("pretrain", words)
+    batch = RayBatches(dataset, config, measure(dataset, config))[0]
+    np.testing.assert_allclose(batch.feature[..., 0], batch.rgb.mean(-1), atol=1e-6)
+    np.testing.assert_array_equal(batch.feature[..., 1], batch.semantic > 0)
+
+
+@pytest.mark.parametrize(
+    "name, reason",
+    [
+        ("nowhere:Teacher", "ModuleNotFoundError: No module named 'nowhere'"),
+        ("own_teacher:Absent", "AttributeError: module 'own_teacher' has no attribute 'Absent'"),
+        ("own_teacher:Narrow", "TypeError: it has no positive width"),
+        ("own_teacher:broken", "RuntimeError: no weights"),
+    ],
+)
+def test_a_teacher_that_cannot_be_had_is_told_before_anything_is_written(
+    name: str,
+    reason: str,
+    tiny_dataset: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    (tmp_path / "own_teacher.py").write_text(OWN)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    words = ["--data", str(tiny_dataset), "--out", str(tmp_path / "run"), "--teachers", f"[{name}]"]
+    assert cli.main(["pretrain", *words]) == 2
+    assert f"teacher '{name}' cannot be had: {reason}" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()

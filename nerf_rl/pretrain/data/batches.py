@@ -14,7 +14,7 @@ from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.data.anchors import visible_middles
 from nerf_rl.pretrain.data.statistics import Statistics
-from nerf_rl.pretrain.data.teachers import teacher_features
+from nerf_rl.pretrain.data.teachers import Pixels, Views, teacher_features
 
 _CANDIDATES_PER_RAY = 32
 WHOLE = slice(None)
@@ -73,17 +73,14 @@ class RayBatches(Dataset):
 
         scene, view, row, column = self._draw_pixels(semantic[:, self._views], rng)
         image = scene * depth.shape[1] + view
-        flat_depth = depth.reshape(-1, *depth.shape[2:])
         flat_poses = np.ascontiguousarray(poses.reshape(-1, 4, 4))
         flat_intrinsics = np.broadcast_to(intrinsics, (len(frames), *intrinsics.shape)).reshape(-1, 3, 3)
         pixels = np.stack([column, row], axis=-1)[:, None] + 0.5
         directions = pixel_directions(flat_intrinsics[image], flat_poses[image], pixels)[:, 0]
         origins = camera_position(flat_poses)[image]
-        features = (
-            teacher_features(config.teachers, flat_depth, flat_intrinsics, flat_poses, image, row, column, far)
-            if config.teachers
-            else np.zeros((len(image), 0), np.float32)
-        )
+        flat_rgb, flat_depth, flat_semantic = (array.reshape(-1, *array.shape[2:]) for array in (rgb, depth, semantic))
+        views = Views(flat_rgb, flat_depth, flat_semantic, flat_intrinsics, flat_poses, far)
+        features = teacher_features(config.teachers, views, Pixels(image, row, column))
         own = self._encoder_views
         followed, classes = list(self._statistics.anchors.classes), len(self._statistics.class_weights)
         middles = visible_middles(depth[:, own], semantic[:, own], intrinsics[own], poses[:, own], classes)

@@ -1,45 +1,102 @@
-"""Feature teachers: per-pixel targets for the field's feature head, computed from depth images.
+"""Feature teachers: per-pixel targets for the field's feature head.
 
-They take the place of a pretrained network's features in the feature loss; both are exact and free in simulation.
+Those here take the place of a pretrained network's features in the feature loss; they are computed from depth images,
+and both are exact and free in simulation. A teacher of one's own is a class that gives such features of what it sees.
 """
 
+import functools
+import importlib
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol, runtime_checkable
+
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from nerf_rl.cameras.geometry import pixel_directions
+from nerf_rl.errors import UserError
 
-WIDTHS = {"depth": 1, "normals": 3}
+
+class Views(NamedTuple):
+    """N images, and the cameras that saw them."""
+
+    rgb: UInt8[ndarray, "N H W 3"]
+    depth: Float[ndarray, "N H W"]
+    """planar [m]"""
+    semantic: UInt8[ndarray, "N H W"]
+    """class ids"""
+    intrinsics: Float[ndarray, "N 3 3"]
+    camera_from_world: Float[ndarray, "N 4 4"]
+    far: float
+    """depth of the backdrop [m]"""
 
 
-def teacher_features(
-    teachers: list[str],
-    depth: Float[ndarray, "N H W"],
-    intrinsics: Float[ndarray, "N 3 3"],
-    camera_from_world: Float[ndarray, "N 4 4"],
-    image: Int[ndarray, "M"],
-    row: Int[ndarray, "M"],
-    column: Int[ndarray, "M"],
-    far: float,
-) -> Float[ndarray, "M F"]:
-    """Return the features of M pixels of N images.
+class Pixels(NamedTuple):
+    """M pixels of such images."""
 
-    Args:
-        teachers: ``depth`` (planar depth in units of ``far``) and ``normals`` (unit surface normals in world axes,
-        towards
-            the camera; zero where nothing is hit).
-        depth: images [m].
-        intrinsics, camera_from_world: their cameras.
-        image, row, column: the pixels.
-        far: depth of the backdrop [m].
+    image: Int[ndarray, "M"]
+    row: Int[ndarray, "M"]
+    column: Int[ndarray, "M"]
+
+
+@runtime_checkable
+class Teacher(Protocol):
+    """What gives features of pixels; made without arguments, once in each process that prepares batches."""
+
+    width: int
+    """how many features a pixel has"""
+
+    def features(self, views: Views, pixels: Pixels) -> Float[ndarray, "M F"]:
+        """Return the features of some pixels, the same for the same views."""
+
+
+class DepthTeacher:
+    """Planar depth in units of ``far``."""
+
+    width = 1
+
+    def features(self, views: Views, pixels: Pixels) -> Float[ndarray, "M 1"]:
+        """Return depth, at most 1."""
+        return np.minimum(views.depth[tuple(pixels)], views.far)[:, None] / views.far
+
+
+class NormalsTeacher:
+    """Unit surface normals in world axes, towards the camera; zero where nothing is hit."""
+
+    width = 3
+
+    def features(self, views: Views, pixels: Pixels) -> Float[ndarray, "M 3"]:
+        """Return normals."""
+        return surface_normals(views.depth, views.intrinsics, views.camera_from_world, *pixels, views.far)
+
+
+TEACHERS: dict[str, type[Teacher]] = {"depth": DepthTeacher, "normals": NormalsTeacher}
+
+
+@functools.cache
+def find_teacher(name: str) -> Teacher:
+    """Return a teacher by its name, or one of the user's own by ``module:Class``.
+
+    Raises:
+        UserError: the module or its class cannot be had, or is no teacher.
     """
-    columns = []
-    for teacher in teachers:
-        if teacher == "depth":
-            columns.append(np.minimum(depth[image, row, column], far)[:, None] / far)
-        else:
-            columns.append(surface_normals(depth, intrinsics, camera_from_world, image, row, column, far))
-    return np.concatenate(columns, axis=1).astype(np.float32)
+    if name in TEACHERS:
+        return TEACHERS[name]()
+    module, _, kind = name.partition(":")
+    try:
+        teacher = getattr(importlib.import_module(module), kind)()
+        if not (isinstance(teacher.width, int) and teacher.width > 0 and callable(teacher.features)):
+            raise TypeError("it has no positive width")
+    except Exception as error:  # a user's code may raise anything
+        reason = " ".join(str(error).split())
+        raise UserError(f"teacher '{name}' cannot be had: {type(error).__name__}: {reason}") from error
+    return teacher
+
+
+def teacher_features(names: Sequence[str], views: Views, pixels: Pixels) -> Float[ndarray, "M F"]:
+    """Return the features of pixels by several teachers, one after another; no feature at all by none."""
+    found = [find_teacher(name).features(views, pixels) for name in names]
+    return np.concatenate([np.zeros((len(pixels.image), 0)), *found], axis=1).astype(np.float32)
 
 
 def surface_normals(

@@ -14,7 +14,7 @@ from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.data.batches import RayBatch
 from nerf_rl.pretrain.data.data_module import NO_FRAME
 from nerf_rl.pretrain.data.statistics import Statistics
-from nerf_rl.pretrain.data.teachers import WIDTHS
+from nerf_rl.pretrain.data.teachers import find_teacher
 from nerf_rl.pretrain.execution.distributed import sum_over_processes
 from nerf_rl.pretrain.execution.side_by_side import Shares, equal_shares
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
@@ -44,7 +44,7 @@ class SnerlModule(EncoderModule):
     def __init__(self, config: PretrainConfig, dataset: MultiViewDataset, statistics: Statistics, rig: EncoderRig):
         super().__init__(config, dataset, rig)
         self._bounds = statistics.bounds
-        teacher_width = sum(WIDTHS[teacher] for teacher in config.teachers)
+        teacher_width = sum(find_teacher(name).width for name in config.teachers)
         classes = len(dataset.class_names)
         anchors = statistics.anchors
         self.field = RadianceField(
