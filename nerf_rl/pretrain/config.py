@@ -6,6 +6,7 @@ from typing import Any
 
 from nerf_rl.arguments.limits import require_most, require_seed
 from nerf_rl.errors import UnknownNameError, UserError
+from nerf_rl.loggers import TENSORBOARD, check_loggers
 from nerf_rl.machine.devices import check_device_name
 from nerf_rl.pretrain.stopping import parse_goal
 
@@ -17,7 +18,7 @@ STRATEGIES = ("auto", "ddp")
 FIELD, RANDOM = "field", "random"
 OBJECTIVES = (FIELD, "autoencoder", "depth", "masked", "contrastive", "supervised", RANDOM)
 _HOW_NOT_WHAT = "data out resume overwrite threads loader_workers steps max_minutes accelerator devices nodes strategy"
-_HOW_NOT_WHAT += " log_every stop_when"
+_HOW_NOT_WHAT += " log_every loggers stop_when"
 
 
 @dataclass
@@ -183,6 +184,8 @@ class PretrainConfig:
     """CPU threads of a training process (null: PyTorch's own choice, divided by the devices of a node)"""
     log_every: int = 25
     """steps between two rows of the logs"""
+    loggers: list[str] = field(default_factory=lambda: [TENSORBOARD])
+    """where curves go besides metrics.csv: tensorboard, wandb, or a Lightning logger of your own by module:Class"""
     seed: int = 0
     """seed of everything random"""
     resume: bool = False
@@ -191,6 +194,7 @@ class PretrainConfig:
     """replace an existing run"""
 
     def __post_init__(self) -> None:
+        check_loggers(self.loggers)
         for teacher in self.teachers:
             if teacher not in TEACHERS and ":" not in teacher:
                 raise UnknownNameError("teacher", teacher, TEACHERS)

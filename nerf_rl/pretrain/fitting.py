@@ -12,10 +12,11 @@ import cv2
 import lightning
 import torch
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
-from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
+from lightning.pytorch.loggers import CSVLogger
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.files.json_files import write_json
+from nerf_rl.loggers import make_loggers
 from nerf_rl.pretrain.config import FIELD, RANDOM, PretrainConfig
 from nerf_rl.pretrain.data.batches import drawn_frames
 from nerf_rl.pretrain.data.data_module import NO_FRAME, MultiViewDataModule
@@ -91,7 +92,7 @@ def fit(config: PretrainConfig, dataset: MultiViewDataset, folder: Path, checkpo
         plugins=[environment(config)],
         max_steps=config.steps,
         precision=lightning_precision(precision),
-        logger=[CSVLogger(folder, name="", version=logs), TensorBoardLogger(folder, name="", version=logs)],
+        logger=[CSVLogger(folder, name="", version=logs), *make_loggers(config.loggers, folder, logs)],
         callbacks=[
             ModelCheckpoint(
                 folder / CHECKPOINT.parent,

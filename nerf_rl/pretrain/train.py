@@ -10,6 +10,7 @@ from nerf_rl.datasets.storage.shards import SPLIT_NAMES
 from nerf_rl.errors import UserError
 from nerf_rl.files.json_files import write_json
 from nerf_rl.files.runs import SUMMARY, prepare_output, write_provenance
+from nerf_rl.loggers import require_loggers
 from nerf_rl.machine.memory import peak_rss_mb
 from nerf_rl.machine.threads import wait_passively
 from nerf_rl.pretrain.config import PretrainConfig
@@ -33,6 +34,7 @@ def pretrain(config: PretrainConfig) -> None:
     EncoderRig.of_dataset(dataset)
     for name in config.teachers:
         find_teacher(name)
+    require_loggers(config.loggers)
     rank = rank_from_outside(config)
     wait_passively()
     if config.accelerator == "gpu" or config.devices > 1:

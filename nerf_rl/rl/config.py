@@ -6,6 +6,7 @@ from typing import Any
 
 from nerf_rl.arguments.limits import require_most, require_seed
 from nerf_rl.errors import UnknownNameError, UserError
+from nerf_rl.loggers import TENSORBOARD, check_loggers
 from nerf_rl.machine.devices import check_device_name
 from nerf_rl.rl.baselines.config import PPOConfig
 
@@ -211,6 +212,8 @@ class TrainRLConfig:
     """environment steps between checkpoints"""
     log_every: int = 1_000
     """environment steps between rows of metrics.csv"""
+    loggers: list[str] = field(default_factory=lambda: [TENSORBOARD])
+    """where curves go besides metrics.csv: tensorboard, wandb, or a Lightning logger of your own by module:Class"""
     algo: str = "ddpg"
     """ddpg (ours), or by Stable-Baselines3 (extra sb3): ppo, with the keys of ppo, or sb3-ddpg, with those of
     learner, noise and replay that it shares"""
@@ -230,6 +233,7 @@ class TrainRLConfig:
 
     def __post_init__(self) -> None:
         _one_of("algorithm", self.algo, ALGORITHMS)
+        check_loggers(self.loggers)
         counts = "env_steps action_repeat episode_steps envs evaluation_every evaluation_episodes"
         for name in f"{counts} final_evaluation_episodes checkpoint_every log_every threads".split():
             if getattr(self, name) < 1:
@@ -254,7 +258,7 @@ class TrainRLConfig:
     def content(self) -> dict[str, Any]:
         """Return the keys that must not change when a run is resumed."""
         free = "out resume overwrite env_steps episodes threads device checkpoint_every evaluation_every"
-        free += " evaluation_episodes final_evaluation_episodes evaluation_to_end log_every"
+        free += " evaluation_episodes final_evaluation_episodes evaluation_to_end log_every loggers"
         return {key: value for key, value in dataclasses.asdict(self).items() if key not in free.split()}
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from nerf_rl.arguments.stored_keys import require_same_keys
 from nerf_rl.errors import UserError
 from nerf_rl.files.runs import prepare_output, write_provenance
+from nerf_rl.loggers import require_loggers
 from nerf_rl.machine.devices import check_device, resolve_device
 from nerf_rl.machine.extras import import_extra
 from nerf_rl.progress import Progress
@@ -37,6 +38,7 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
     if encoder is not None:
         check_encoder_scene(encoder, config.scene)
     check_device(config.device)
+    require_loggers(config.loggers)
     if config.algo != "ddpg":
         import_extra("stable_baselines3", "sb3", f"--algo {config.algo}")
     run = Path(config.out)

@@ -5,7 +5,6 @@ and both are exact and free in simulation. A teacher of one's own is a class tha
 """
 
 import functools
-import importlib
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -15,6 +14,7 @@ from numpy import ndarray
 
 from nerf_rl.cameras.geometry import pixel_directions
 from nerf_rl.errors import UserError
+from nerf_rl.machine.extras import make_named
 
 
 class Views(NamedTuple):
@@ -82,14 +82,10 @@ def find_teacher(name: str) -> Teacher:
     """
     if name in TEACHERS:
         return TEACHERS[name]()
-    module, _, kind = name.partition(":")
-    try:
-        teacher = getattr(importlib.import_module(module), kind)()
-        if not (isinstance(teacher.width, int) and teacher.width > 0 and callable(teacher.features)):
-            raise TypeError("it has no positive width")
-    except Exception as error:  # a user's code may raise anything
-        reason = " ".join(str(error).split())
-        raise UserError(f"teacher '{name}' cannot be had: {type(error).__name__}: {reason}") from error
+    teacher = make_named("teacher", name)
+    width = getattr(teacher, "width", None)
+    if not (isinstance(width, int) and width > 0 and callable(getattr(teacher, "features", None))):
+        raise UserError(f"'{name}' is no teacher: it needs a positive width and a method features")
     return teacher
 
 

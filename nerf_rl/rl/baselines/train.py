@@ -13,6 +13,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecNormalize
 
+from nerf_rl.loggers import make_loggers
 from nerf_rl.machine.devices import resolve_device
 from nerf_rl.progress import Progress
 from nerf_rl.rl.baselines.models import CLIPPED_AT, export_actor, make_model
@@ -45,7 +46,7 @@ class BaselineTrainer(BaseCallback):
         self._envs = _make_envs(config, spec)
         self._sb3 = make_model(config, self._envs)
         self._sb3.set_logger(Logger(None, []))  # its own would leave a folder in the temporary one for each run
-        self._metrics = MetricsLog(run / "metrics.csv")
+        self._metrics = MetricsLog(run / "metrics.csv", loggers=make_loggers(config.loggers, run))
         self._returns, self._length = np.zeros(config.envs), np.zeros(config.envs, np.int64)
         self._success, self._tells = np.zeros(config.envs, np.bool_), False
         self._last_log = 0
@@ -124,6 +125,7 @@ class BaselineTrainer(BaseCallback):
         seeds = evaluation_seeds(0, episodes)
         result = run_episodes(self._evaluation_envs, act, seeds, config.evaluation_to_end).summary()
         self.evaluations.append({"env_steps": self.env_steps, "training_episodes": self.episodes, **result})
+        self._metrics.write_evaluation(self.evaluations[-1])
         self._after_evaluation(self.evaluations[-1], self._progress)
 
     def _log(self) -> None:

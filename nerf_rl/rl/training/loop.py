@@ -11,6 +11,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from nerf_rl.errors import UserError
+from nerf_rl.loggers import make_loggers
 from nerf_rl.machine.devices import resolve_device
 from nerf_rl.progress import Progress
 from nerf_rl.rl.agents.ddpg import DDPG
@@ -81,7 +82,7 @@ class Trainer:
         self.evaluations: list[dict[str, Any]] = []
         if self._checkpoint is not None:
             self._load(self._checkpoint)
-        self.metrics = MetricsLog(run / "metrics.csv", self.env_steps)
+        self.metrics = MetricsLog(run / "metrics.csv", self.env_steps, make_loggers(config.loggers, run))
 
     @property
     def seconds(self) -> float:
@@ -121,6 +122,7 @@ class Trainer:
         seeds = evaluation_seeds(0, episodes)
         result = run_episodes(self._envs, self.agent.act, seeds, self._config.evaluation_to_end).summary()
         self.evaluations.append({"env_steps": self.env_steps, "training_episodes": self.episodes, **result})
+        self.metrics.write_evaluation(self.evaluations[-1])
         return self.evaluations[-1]
 
     def save(self) -> None:

@@ -12,6 +12,7 @@ from nerf_rl.files.atomic import atomic_write, write_text
 from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS, tells_success
 
 if TYPE_CHECKING:
+    from lightning.pytorch.loggers import Logger
     from matplotlib.axes import Axes
 
 COLUMNS = (
@@ -40,10 +41,11 @@ class MetricsLog:
     Args:
         path: the file; rows beyond ``env_steps`` are dropped, so that a resumed run has each step once.
         env_steps: where the run goes on.
+        loggers: of Lightning, which get the rows and the evaluations as well.
     """
 
-    def __init__(self, path: Path, env_steps: int = 0):
-        self._path = path
+    def __init__(self, path: Path, env_steps: int = 0, loggers: "Sequence[Logger]" = ()):
+        self._path, self._loggers = path, loggers
         rows = []
         if env_steps and path.is_file():
             with open(path, newline="", encoding="utf-8") as file:
@@ -68,6 +70,18 @@ class MetricsLog:
         with open(self._path, "a", newline="", encoding="utf-8") as file:
             formatted = {name: f"{value:.6g}" if isinstance(value, float) else value for name, value in row.items()}
             csv.DictWriter(file, COLUMNS, lineterminator="\n").writerow(formatted)
+        self._pass_on("train", row)
+
+    def write_evaluation(self, result: Mapping[str, Any]) -> None:
+        """Pass an evaluation on; ``summary.json`` keeps it."""
+        self._pass_on("evaluation", result)
+
+    def _pass_on(self, group: str, row: Mapping[str, Any]) -> None:
+        """Give a row to the loggers, with the environment steps as its step."""
+        figures = {f"{group}/{name}": float(value) for name, value in row.items() if name != "env_steps"}
+        for logger in self._loggers:
+            logger.log_metrics(figures, step=int(row["env_steps"]))
+            logger.save()
 
 
 def draw_learning_curve(path: Path, evaluations: list[dict[str, Any]], title: str) -> None:
