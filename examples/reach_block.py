@@ -4,7 +4,7 @@ An MJCF file says nothing of a task. These lines give ``datasets/scenes/blocks.x
 the result with Gymnasium, after which every command takes it by its name, as long as Python finds this module:
 
     export PYTHONPATH=examples
-    nerf-rl gen-dataset --config datasets/demo.yaml --scene gym/reach_block:ReachBlock-v0 --out data/reach-block
+    nerf-rl gen-dataset --config datasets/gym.yaml --scene gym/reach_block:ReachBlock-v0 --out data/reach-block
     nerf-rl pretrain --config pretrain/demo.yaml --data data/reach-block --out runs/reach-block/encoder
     nerf-rl train-rl --config rl/gym.yaml --scene gym/reach_block:ReachBlock-v0 \
         --encoder runs/reach-block/encoder --out runs/reach-block/agent

@@ -1,8 +1,12 @@
 """Scenes of which nothing is known but the model's structure: parts, columns and cameras follow from it."""
 
 import dataclasses
+from collections.abc import Iterator
 from typing import Any
 
+import gymnasium
+import mujoco
+import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
@@ -10,7 +14,10 @@ from nerf_rl.cameras.rig_config import CameraConfig, RingConfig
 from nerf_rl.scenes.base import Scene, model_digest
 from nerf_rl.scenes.body_parts import can_travel, find_parts
 from nerf_rl.scenes.state_columns import StateColumns
-from nerf_rl.scenes.workspace import Workspace, fit_workspace
+from nerf_rl.scenes.workspace import Workspace, around, fit_workspace, moving_balls
+
+_EPISODES, _STEPS, _HOLD = 4, 40, 10  # from which the workspace is fitted
+_LEFT_OUT = 0.02  # of where things were then
 
 
 class StructuredScene(Scene):
@@ -32,7 +39,7 @@ class StructuredScene(Scene):
         return self._columns.privileged(self.render_data())
 
     def workspace(self) -> Workspace:
-        """Return the ball around what moves, as it was after the first reset; it goes with a robot that travels."""
+        """Return the ball around what moves in a few random episodes; it goes with a robot that travels."""
         return self._workspace
 
     def default_cameras(self) -> list[CameraConfig]:
@@ -44,11 +51,41 @@ class StructuredScene(Scene):
         return {**super().provenance(), "model_sha256": model_digest(self.model)}
 
     def _fit_workspace(self) -> Workspace:
-        shown = self.render_data()
-        ball = fit_workspace(self.model, shown)
+        """Act at random for a few short episodes, and put a ball around what moves there."""
         roots = (root for root in self.parts.robot if can_travel(self.model, root))
-        name = next((name for root in roots if (name := self.model.body(root).name)), "")
-        if not name:
+        base = next((name for root in roots if (name := self.model.body(root).name)), "")
+        ball = fit_workspace(self.model, self.render_data())
+        centres, radii = [], np.zeros(0)
+        for shown in self._random_states():
+            places, radii = moving_balls(self.model, shown)
+            centres.append(places - shown.body(base).xpos if base else places)
+        if len(radii):
+            ball = around(np.stack(centres), radii, _LEFT_OUT)
+        if not base:
             return ball
-        x, y, z = (round(float(value), 3) for value in ball.centre - shown.body(name).xpos)
-        return dataclasses.replace(ball, floating_base=name, from_floating_base=(x, y, z))
+        shown = self.render_data()
+        x, y, z = (round(float(value), 3) for value in ball.centre)
+        return dataclasses.replace(
+            ball, centre=ball.centre + shown.body(base).xpos, floating_base=base, from_floating_base=(x, y, z)
+        )
+
+    def _random_states(self) -> Iterator[mujoco.MjData]:
+        """Yield states of random episodes, as long as they are finite; the scene is then as after its first reset."""
+        rng, space = np.random.default_rng(0), self.env.action_space
+        low = high = np.zeros(0)
+        if isinstance(space, gymnasium.spaces.Box):
+            low, high = np.clip(space.low, -1.0, 1.0), np.clip(space.high, -1.0, 1.0)
+        mujoco.set_mju_user_warning(lambda message: None)  # it would write MUJOCO_LOG.TXT; who acts in earnest tells
+        steps = _STEPS if isinstance(space, gymnasium.spaces.Box) else 0
+        for episode in range(_EPISODES):
+            self.env.reset(seed=episode)
+            yield self.render_data()
+            for step in range(steps):
+                if step % _HOLD == 0:
+                    action = rng.uniform(low, high).astype(np.float32)
+                _, _, terminated, truncated, _ = self.env.step(action)
+                shown = self.render_data()
+                if terminated or truncated or not np.isfinite(shown.geom_xpos).all():
+                    break
+                yield shown
+        self.env.reset(seed=0)

@@ -50,13 +50,37 @@ def fit_workspace(model: mujoco.MjModel, data: mujoco.MjData) -> Workspace:
         model: of the scene.
         data: its state, with positions propagated.
     """
+    centres, radii = moving_balls(model, data)
+    return around(centres[None], radii, 0.0) if len(radii) else Workspace(*_of_the_model(model))
+
+
+def moving_balls(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Float[ndarray, "G 3"], Float[ndarray, "G"]]:
+    """Return centres and radii [m] of the drawn geoms of bodies that can move, or of all that end if none can.
+
+    Args:
+        model: of the scene.
+        data: its state, with positions propagated.
+    """
     drawn = [geom for geom in range(model.ngeom) if is_drawn(model, geom) and model.geom_rbound[geom] > 0]
-    moving = [geom for geom in drawn if model.body_weldid[model.geom_bodyid[geom]] != 0]
-    chosen = moving or drawn
-    if not chosen:
-        return Workspace(np.array(model.stat.center, np.float64), float(model.stat.extent))
-    centres, radii = data.geom_xpos[chosen], model.geom_rbound[chosen, None]
-    low, high = (centres - radii).min(0), (centres + radii).max(0)
+    chosen = [geom for geom in drawn if model.body_weldid[model.geom_bodyid[geom]] != 0] or drawn
+    return data.geom_xpos[chosen].copy(), model.geom_rbound[chosen].copy()
+
+
+def around(centres: Float[ndarray, "T G 3"], radii: Float[ndarray, "G"], left_out: float) -> Workspace:
+    """Return a ball around geoms in T states.
+
+    Args:
+        centres: of the geoms [m].
+        radii: of balls around them [m].
+        left_out: share of places that may be outside on each side, such as those of what fell off a table.
+    """
+    reach = radii[:, None]
+    low = np.quantile(centres - reach, left_out, axis=(0, 1))
+    high = np.quantile(centres + reach, 1.0 - left_out, axis=(0, 1))
     centre = (low + high) / 2.0
-    radius = (np.linalg.norm(centres - centre, axis=1) + radii[:, 0]).max()
-    return Workspace(centre, float(radius))
+    distances = np.linalg.norm(centres - centre, axis=-1) + radii
+    return Workspace(centre, float(np.quantile(distances, 1.0 - left_out)))
+
+
+def _of_the_model(model: mujoco.MjModel) -> tuple[Float[ndarray, "3"], float]:
+    return np.array(model.stat.center, np.float64), float(model.stat.extent)

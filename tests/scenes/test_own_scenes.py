@@ -207,3 +207,19 @@ def test_a_dataset_of_an_own_scene_has_all_kinds_of_cameras_and_matrices_that_ag
 def test_a_wrong_name_is_a_mistake_of_usage(capsys: pytest.CaptureFixture[str], tmp_path: Path):
     assert cli.main(["gen-dataset", "--scene", "gym/Walkr2d-v5", "--out", str(tmp_path / "x")]) == 2
     assert "did you mean Walker2d-v5" in capsys.readouterr().err
+
+
+def test_cameras_see_wherever_an_arm_and_its_target_come(tmp_path: Path):
+    """After the first reset alone, Reacher's arm lies in a line, and the cameras missed most of what followed."""
+    out = tmp_path / "data"
+    arguments = ["--episodes", "12", "--episodes_per_shard", "12", "--workers", "1", "--size", "32"]
+    assert cli.main(["gen-dataset", "--config", "datasets/gym.yaml", *arguments, "--out", str(out)]) == 0
+    dataset = MultiViewDataset(out)
+    views = dataset.views("encoder")
+    projections = dataset.projections(np.arange(len(dataset)))[:, views]
+    state = dataset.read("state/privileged")
+    for first in (0, 3):  # fingertip, target
+        points = np.concatenate([state[:, first : first + 3], np.ones((len(state), 1))], axis=1)
+        seen = np.einsum("nvij,nj->nvi", projections, points)
+        pixels = seen[..., :2] / seen[..., 2:]
+        assert ((pixels > 0) & (pixels < 32)).all(-1).mean() > 0.97
