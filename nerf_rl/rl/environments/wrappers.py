@@ -44,13 +44,8 @@ class ActionRepeat(gymnasium.Wrapper):
             success = success_in(info)
             told += [] if success is None else [success]
             steps += 1
-        return (
-            observation,
-            total,
-            terminated,
-            truncated,
-            {"env_steps": steps, **({"success": any(told)} if told else {})},
-        )
+        known = {"success": any(told)} if told else {}
+        return observation, total, terminated, truncated, {"env_steps": steps, **known}
 
 
 class StateObservation(gymnasium.ObservationWrapper):
