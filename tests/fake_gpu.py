@@ -15,8 +15,8 @@ from torch._subclasses.fake_tensor import FakeTensor, FakeTensorMode
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import EncoderConfig
 from nerf_rl.pretrain.measures.linear_probe import encode_frames
-from nerf_rl.pretrain.model.artefact import read_description
 from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.pretrain.model.encoder_file import read_description
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 from nerf_rl.rl.agents.ddpg import DDPG
 from nerf_rl.rl.agents.networks import LayeredConfig

@@ -26,7 +26,7 @@ import h5py
 from nerf_rl import cli
 from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS
 from nerf_rl.files.json_files import write_json
-from nerf_rl.files.runs import PROVENANCE
+from nerf_rl.files.outputs import PROVENANCE
 from nerf_rl.files.versions import git_revision, package_versions
 
 KEYS = {"episodes": 16, "frames_per_episode": 6, "episode_steps": 20, "size": 16, "episodes_per_shard": 2, "workers": 2}

@@ -13,7 +13,7 @@ from pathlib import Path
 from nerf_rl import cli
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.files.json_files import read_json, write_json
-from nerf_rl.files.runs import SUMMARY
+from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.files.versions import git_revision, package_versions
 
 EPISODES, FRAMES_PER_EPISODE, SIZE, WORKERS = 2400, 6, 128, 2

@@ -26,7 +26,7 @@ import yaml
 
 from nerf_rl.cameras.geometry import look_at
 from nerf_rl.files.json_files import read_json, write_json
-from nerf_rl.files.runs import SUMMARY
+from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.files.versions import git_revision, package_versions
 from nerf_rl.machine.gl import is_software
 

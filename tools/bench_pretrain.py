@@ -21,7 +21,7 @@ from nerf_rl.arguments.parsing import parse_config
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
-from nerf_rl.files.runs import SUMMARY
+from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.files.versions import git_revision, package_versions
 from nerf_rl.pretrain.config import PretrainConfig
 

@@ -26,7 +26,7 @@ from record_demo import markdown_table, replace_tables
 
 from nerf_rl.files.atomic import atomic_write, write_text
 from nerf_rl.files.json_files import read_json, write_json
-from nerf_rl.files.runs import PROVENANCE, SUMMARY
+from nerf_rl.files.outputs import PROVENANCE, SUMMARY
 from nerf_rl.tuning.results import TRIALS
 
 RECIPE = Path("rl/paper/tune.yaml")

@@ -19,7 +19,7 @@ from record_demo import markdown_table, replace_tables
 
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
-from nerf_rl.files.runs import SUMMARY
+from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.files.versions import git_revision, package_versions
 
 RESULT, README = Path("pretrain/results/tasks.json"), Path("pretrain/README.md")

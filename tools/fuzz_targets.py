@@ -248,7 +248,7 @@ def _read_dataset(folder: Path) -> None:
 
 
 def _resumable(words: tuple[str, ...]) -> None:
-    from nerf_rl.datasets.generation.output_record import OutputRecord
+    from nerf_rl.datasets.generation.unfinished import OutputRecord
 
     OutputRecord(cli.parse(*_split(words))).check()
 

@@ -16,10 +16,10 @@ import cv2
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
-from nerf_rl.files.runs import PROVENANCE, SUMMARY
+from nerf_rl.files.outputs import PROVENANCE, SUMMARY
 from nerf_rl.pretrain.measures.figures import describe_iou, describe_validation
 from nerf_rl.report.contact_sheet import contact_sheet
-from nerf_rl.rl.training.records import draw_learning_curve
+from nerf_rl.rl.training.curves import draw_learning_curve
 
 STAGES = {
     "datasets": Path("data/demo"),

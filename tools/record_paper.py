@@ -18,7 +18,7 @@ from run_paper import Run, read_experiments, runs_of
 
 from nerf_rl.files.atomic import atomic_write, write_text
 from nerf_rl.files.json_files import write_json
-from nerf_rl.files.runs import SUMMARY
+from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.metrics import wilson_interval
 
 RESULTS = Path("rl/results")

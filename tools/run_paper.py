@@ -18,7 +18,7 @@ from typing import Any
 
 import yaml
 
-from nerf_rl.files.runs import SUMMARY
+from nerf_rl.files.outputs import SUMMARY
 
 EXPERIMENTS = Path("rl/paper/experiments.yaml")
 RUNS = Path("runs/paper")

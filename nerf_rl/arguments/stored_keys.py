@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from nerf_rl.errors import UserError
-from nerf_rl.files.runs import plain
+from nerf_rl.files.outputs import plain
 
 
 def with_defaults(stored: Any, config: type) -> Any:

@@ -16,7 +16,7 @@ from nerf_rl.doctor.optional_packages import extras
 from nerf_rl.doctor.trial import trial
 from nerf_rl.errors import FailureError
 from nerf_rl.files.json_files import write_json
-from nerf_rl.files.runs import plain
+from nerf_rl.files.outputs import plain
 from nerf_rl.files.versions import package_versions
 
 BACKENDS = {

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 
 from nerf_rl.doctor.finding import Finding, shortened
 from nerf_rl.files.json_files import read_json
-from nerf_rl.files.runs import SUMMARY
+from nerf_rl.files.outputs import SUMMARY
 
 _SCENE = "metaworld/drawer-open-v3"
 _DATASET = """

@@ -33,11 +33,11 @@ from nerf_rl.pretrain.execution.placement import (
 from nerf_rl.pretrain.measures.figures import describe_validation
 from nerf_rl.pretrain.measures.latent_statistics import measure_latents
 from nerf_rl.pretrain.measures.linear_probe import ProbeResult, probe_encoder
-from nerf_rl.pretrain.model.artefact import CHECKPOINT
+from nerf_rl.pretrain.model.encoder_file import CHECKPOINT
 from nerf_rl.pretrain.model.precision import lightning_precision, resolve_precision
 from nerf_rl.pretrain.objectives.encoder_module import EncoderModule
+from nerf_rl.pretrain.objectives.held_out_pictures import reconstruction_grid
 from nerf_rl.pretrain.objectives.picture_module import PictureModule
-from nerf_rl.pretrain.objectives.reconstruction import reconstruction_grid
 from nerf_rl.pretrain.objectives.snerl_module import SnerlModule
 from nerf_rl.pretrain.resuming import require_resumable
 from nerf_rl.progress import Progress

@@ -4,10 +4,10 @@ from pathlib import Path
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.files.json_files import write_json
-from nerf_rl.files.runs import SUMMARY, prepare_output, write_provenance
+from nerf_rl.files.outputs import SUMMARY, prepare_output, write_provenance
 from nerf_rl.machine.devices import check_device, resolve_device
 from nerf_rl.pretrain.config import ProbeConfig
-from nerf_rl.pretrain.model.artefact import read_description
+from nerf_rl.pretrain.model.encoder_file import read_description
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 
 

@@ -9,7 +9,7 @@ from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.shards import SPLIT_NAMES
 from nerf_rl.errors import UserError
 from nerf_rl.files.json_files import write_json
-from nerf_rl.files.runs import SUMMARY, prepare_output, write_provenance
+from nerf_rl.files.outputs import SUMMARY, prepare_output, write_provenance
 from nerf_rl.loggers import require_loggers
 from nerf_rl.machine.memory import peak_rss_mb
 from nerf_rl.machine.threads import wait_passively
@@ -17,7 +17,7 @@ from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.data.teachers import find_teacher
 from nerf_rl.pretrain.execution.launch import rank_from_outside, run_on_each_device
 from nerf_rl.pretrain.measures.figures import describe_hardly_shown, describe_validation, hardly_shown
-from nerf_rl.pretrain.model.artefact import CHECKPOINT
+from nerf_rl.pretrain.model.encoder_file import CHECKPOINT
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 
 

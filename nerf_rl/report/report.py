@@ -12,10 +12,10 @@ from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import MissingFileError, OutputExistsError
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json
-from nerf_rl.files.runs import PROVENANCE, SUMMARY
+from nerf_rl.files.outputs import PROVENANCE, SUMMARY
 from nerf_rl.pictures.page import Page
 from nerf_rl.pretrain.measures.figures import describe_iou, describe_validation
-from nerf_rl.pretrain.model.artefact import read_description
+from nerf_rl.pretrain.model.encoder_file import read_description
 from nerf_rl.report.config import ReportConfig
 from nerf_rl.report.sources import FIELD, Sources, find_sources
 from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS, describe_episodes, tells_success
@@ -118,7 +118,7 @@ def _add_encoder(page: Page, folder: Path, summary: dict[str, Any]) -> None:
 def _add_agent(page: Page, config: ReportConfig, sources: Sources, summary: dict[str, Any]) -> None:
     from nerf_rl.pictures.video import write_mp4
     from nerf_rl.rl.rollout import rollout
-    from nerf_rl.rl.training.records import draw_learning_curve
+    from nerf_rl.rl.training.curves import draw_learning_curve
 
     page.heading("Policy")
     draw, shown = _drawing(sources)

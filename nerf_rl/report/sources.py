@@ -6,10 +6,10 @@ from typing import Any
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import UserError
-from nerf_rl.files.runs import SUMMARY
-from nerf_rl.pretrain.model.artefact import read_description
+from nerf_rl.files.outputs import SUMMARY
+from nerf_rl.pretrain.model.encoder_file import read_description
 from nerf_rl.report.config import ReportConfig
-from nerf_rl.rl.agents.artefact import check_policy
+from nerf_rl.rl.agents.policy_file import check_policy
 
 FIELD = "field.json"
 

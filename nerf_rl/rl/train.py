@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from nerf_rl.arguments.stored_keys import require_same_keys
 from nerf_rl.errors import UserError
-from nerf_rl.files.runs import prepare_output, write_provenance
+from nerf_rl.files.outputs import prepare_output, write_provenance
 from nerf_rl.loggers import require_loggers
 from nerf_rl.machine.devices import check_device, resolve_device
 from nerf_rl.machine.extras import import_extra
@@ -14,7 +14,7 @@ from nerf_rl.progress import Progress
 from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
 from nerf_rl.rl.environments.encoder_match import check_encoder_scene, warn_of_workers_rendering
 from nerf_rl.rl.training.evaluation_results import describe_episodes
-from nerf_rl.rl.training.run_record import OnEvaluation, RunRecord
+from nerf_rl.rl.training.run_files import OnEvaluation, RunRecord
 
 if TYPE_CHECKING:
     import gymnasium

@@ -8,7 +8,7 @@ from optuna.distributions import BaseDistribution, CategoricalDistribution, Floa
 
 from nerf_rl.arguments.parsing import parse_config
 from nerf_rl.errors import UserError
-from nerf_rl.files.runs import plain
+from nerf_rl.files.outputs import plain
 from nerf_rl.rl.config import TrainRLConfig
 from nerf_rl.tuning.config import Range, TuneConfig
 

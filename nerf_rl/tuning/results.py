@@ -13,7 +13,7 @@ from optuna.trial import FrozenTrial, TrialState
 
 from nerf_rl.files.atomic import atomic_write, write_text
 from nerf_rl.files.json_files import write_json
-from nerf_rl.files.runs import SUMMARY, plain
+from nerf_rl.files.outputs import SUMMARY, plain
 from nerf_rl.tuning.config import TuneConfig
 from nerf_rl.tuning.objective import ENV_STEPS
 from nerf_rl.tuning.recipe import trial_config

@@ -13,7 +13,7 @@ from optuna.storages import BaseStorage
 from nerf_rl.arguments.stored_keys import require_same_keys, with_defaults
 from nerf_rl.errors import UserError
 from nerf_rl.files.json_files import read_json
-from nerf_rl.files.runs import PROVENANCE, check_output, plain, prepare_output, write_provenance
+from nerf_rl.files.outputs import PROVENANCE, check_output, plain, prepare_output, write_provenance
 from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
 from nerf_rl.rl.environments.encoder_match import check_encoder_scene
 from nerf_rl.tuning.config import TuneConfig

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from nerf_rl.datasets.storage.shards import UNFINISHED
 from nerf_rl.errors import MissingFileError
-from nerf_rl.pretrain.model.artefact import DESCRIPTION
-from nerf_rl.rl.agents.artefact import POLICY_DESCRIPTION
+from nerf_rl.pretrain.model.encoder_file import DESCRIPTION
+from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION
 
 _MARKS = {"dataset": "manifest.json", "encoder": DESCRIPTION, "agent": POLICY_DESCRIPTION}
 _UNFINISHED = {"plan.json": "an unfinished dataset", "provenance.json": "an unfinished run"}

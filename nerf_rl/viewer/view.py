@@ -6,7 +6,7 @@ from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import OutputExistsError
 from nerf_rl.machine.devices import check_device
 from nerf_rl.machine.threads import wait_passively
-from nerf_rl.rl.agents.artefact import check_policy
+from nerf_rl.rl.agents.policy_file import check_policy
 from nerf_rl.viewer.config import ViewConfig
 from nerf_rl.viewer.pages.agent_page import save_agent, serve_agent
 from nerf_rl.viewer.pages.dataset_page import save_dataset, serve_dataset

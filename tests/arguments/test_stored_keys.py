@@ -19,7 +19,7 @@ from nerf_rl.datasets.config import GenDatasetConfig
 from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS
 from nerf_rl.errors import UserError
 from nerf_rl.files.json_files import read_json, write_json
-from nerf_rl.files.runs import plain
+from nerf_rl.files.outputs import plain
 from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.rl.config import TrainRLConfig
 from nerf_rl.tuning.config import TuneConfig

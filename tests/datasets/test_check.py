@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nerf_rl import cli
-from nerf_rl.datasets.generation.output_record import OutputRecord
+from nerf_rl.datasets.generation.unfinished import OutputRecord
 from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS, read_manifest, sha256_of
 from nerf_rl.files.checksummed_json import write_checksummed
 from nerf_rl.files.json_files import read_json

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from nerf_rl import cli
-from nerf_rl.datasets.generation.output_record import OutputRecord
+from nerf_rl.datasets.generation.unfinished import OutputRecord
 from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS, partial_files
 from nerf_rl.errors import OutputExistsError
 

@@ -12,11 +12,11 @@ import pytest
 
 from nerf_rl import cli
 from nerf_rl.datasets.config import GenDatasetConfig
-from nerf_rl.datasets.generation.output_record import OutputRecord
-from nerf_rl.datasets.generation.shard_rendering import open_render_context, validation_episodes
+from nerf_rl.datasets.generation.shard_episodes import open_render_context, validation_episodes
+from nerf_rl.datasets.generation.unfinished import OutputRecord
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS, sha256_of
-from nerf_rl.files.runs import PROVENANCE
+from nerf_rl.files.outputs import PROVENANCE
 
 EPISODES, FRAMES_PER_EPISODE, STEPS, SIZE, VIEWS = 4, 3, 12, 24, 4
 

@@ -11,8 +11,8 @@ import torch
 from nerf_rl.cameras import geometry as cameras
 from nerf_rl.errors import MissingFileError
 from nerf_rl.pretrain.config import EncoderConfig
-from nerf_rl.pretrain.model.artefact import DESCRIPTION, WEIGHTS
 from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.pretrain.model.encoder_file import DESCRIPTION, WEIGHTS
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 
 NAMES = ("left", "right", "top")

@@ -16,8 +16,8 @@ from nerf_rl import cli
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import MissingFileError
 from nerf_rl.files.tensor_files import write_tensors
-from nerf_rl.pretrain.model.artefact import DESCRIPTION, WEIGHTS, read_description
 from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.pretrain.model.encoder_file import DESCRIPTION, WEIGHTS, read_description
 from nerf_rl.pretrain.model.field import RadianceField
 from nerf_rl.pretrain.objectives.snerl_module import SnerlModule
 

@@ -104,7 +104,7 @@ def test_the_papers_experiments_are_valid(name: str) -> None:
 
 
 def test_resuming_with_other_keys_is_refused(tmp_path: Path) -> None:
-    from nerf_rl.files.runs import write_provenance
+    from nerf_rl.files.outputs import write_provenance
     from nerf_rl.rl.train import _can_resume
 
     config = cli.parse("train-rl", ["--out", str(tmp_path)])

@@ -16,7 +16,7 @@ from nerf_rl.datasets.storage.point_cloud import write_point_cloud
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import UnknownNameError, UserError
 from nerf_rl.files.json_files import write_json
-from nerf_rl.files.runs import SUMMARY, check_output, prepare_output, write_provenance
+from nerf_rl.files.outputs import SUMMARY, check_output, prepare_output, write_provenance
 from nerf_rl.progress import Progress
 
 

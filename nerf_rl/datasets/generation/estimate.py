@@ -4,8 +4,8 @@ import time
 from pathlib import Path
 
 from nerf_rl.datasets.config import GenDatasetConfig
-from nerf_rl.datasets.generation.output_record import OutputRecord
-from nerf_rl.datasets.generation.shard_rendering import open_render_context, render_episode, shard_episodes
+from nerf_rl.datasets.generation.shard_episodes import open_render_context, render_episode, shard_episodes
+from nerf_rl.datasets.generation.unfinished import OutputRecord
 from nerf_rl.datasets.storage.disk import bytes_free, bytes_needed, readable
 from nerf_rl.datasets.storage.shards import TRAIN
 from nerf_rl.machine.gl import use_one_software_thread, warn_of_software_rendering

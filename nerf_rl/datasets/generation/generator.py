@@ -7,14 +7,14 @@ import time
 from nerf_rl.datasets.config import GenDatasetConfig
 from nerf_rl.datasets.generation.estimate import print_estimate
 from nerf_rl.datasets.generation.manifest import describe, shard_entry, with_shards
-from nerf_rl.datasets.generation.output_record import OutputRecord
-from nerf_rl.datasets.generation.shard_rendering import RenderedShard, open_render_context, shard_episodes
+from nerf_rl.datasets.generation.shard_episodes import RenderedShard, open_render_context, shard_episodes
+from nerf_rl.datasets.generation.unfinished import OutputRecord
 from nerf_rl.datasets.generation.workers import render_shards
 from nerf_rl.datasets.storage.disk import bytes_needed, explain_full_disk, require_space
 from nerf_rl.datasets.storage.shards import UNFINISHED
 from nerf_rl.files.checksummed_json import write_checksummed
 from nerf_rl.files.json_files import write_json
-from nerf_rl.files.runs import SUMMARY
+from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.machine.gl import warn_of_software_rendering
 from nerf_rl.progress import Progress
 

@@ -8,7 +8,7 @@ from typing import Any
 import h5py
 
 from nerf_rl.datasets.config import GenDatasetConfig
-from nerf_rl.datasets.generation.shard_rendering import (
+from nerf_rl.datasets.generation.shard_episodes import (
     PLAN_ATTRIBUTE,
     RENDERER_ATTRIBUTE,
     SCENE_ATTRIBUTE,

@@ -9,7 +9,7 @@ import mujoco
 from joblib import Parallel, delayed
 
 from nerf_rl.datasets.config import GenDatasetConfig
-from nerf_rl.datasets.generation.shard_rendering import RenderedShard, render_shard
+from nerf_rl.datasets.generation.shard_episodes import RenderedShard, render_shard
 from nerf_rl.datasets.generation.watchdog import alarm, lookout
 from nerf_rl.datasets.generation.worker_pools import open_backend
 from nerf_rl.datasets.storage.plan import Plan, plan_of

@@ -13,7 +13,7 @@ from typing import Any
 from nerf_rl.arguments.stored_keys import with_defaults
 from nerf_rl.datasets.config import GenDatasetConfig
 from nerf_rl.files.json_files import read_json
-from nerf_rl.files.runs import plain
+from nerf_rl.files.outputs import plain
 
 PLAN = "plan.json"
 

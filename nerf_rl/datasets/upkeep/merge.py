@@ -13,7 +13,7 @@ from nerf_rl.errors import FailureError, MissingFileError, UserError
 from nerf_rl.files.atomic import atomic_write
 from nerf_rl.files.checksummed_json import CHECKSUM, is_whole, write_checksummed
 from nerf_rl.files.json_files import read_json, write_json
-from nerf_rl.files.runs import SUMMARY, check_output, prepare_output, write_provenance
+from nerf_rl.files.outputs import SUMMARY, check_output, prepare_output, write_provenance
 from nerf_rl.progress import Progress
 
 _OF_SHARDS = ("shards", "frames", "renderer")  # keys of a manifest in which parts differ

@@ -11,7 +11,7 @@ from typing import Any
 from nerf_rl.arguments.parsing import config_of
 from nerf_rl.datasets.config import GenDatasetConfig
 from nerf_rl.datasets.generation.manifest import describe, finished_shard, shard_entry, with_shards
-from nerf_rl.datasets.generation.shard_rendering import RenderedShard, open_render_context, shard_count
+from nerf_rl.datasets.generation.shard_episodes import RenderedShard, open_render_context, shard_count
 from nerf_rl.datasets.generation.workers import render_shards
 from nerf_rl.datasets.storage.disk import bytes_needed, explain_full_disk, require_space
 from nerf_rl.datasets.storage.plan import PLAN, Plan

@@ -14,7 +14,8 @@ from nerf_rl.files.json_files import write_json
 from nerf_rl.files.tensor_files import filled, read_tensors, write_tensors
 from nerf_rl.files.versions import package_versions
 from nerf_rl.pretrain.config import EncoderConfig
-from nerf_rl.pretrain.model.artefact import (
+from nerf_rl.pretrain.model.checkpoint_file import encoder_weights
+from nerf_rl.pretrain.model.encoder_file import (
     DESCRIPTION,
     FORMAT,
     SIMULATORS,
@@ -22,7 +23,6 @@ from nerf_rl.pretrain.model.artefact import (
     is_checkpoint,
     read_description,
 )
-from nerf_rl.pretrain.model.checkpoint_file import encoder_weights
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 from nerf_rl.pretrain.model.precision import in_full_precision
 

@@ -15,9 +15,9 @@ from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.execution.distributed import mean_over_processes, of_first_process
 from nerf_rl.pretrain.execution.faults import NotFiniteError
 from nerf_rl.pretrain.measures.latent_statistics import FRAMES, FRAMES_IN_TRAINING, measure_latents
-from nerf_rl.pretrain.model.artefact import SIMULATORS
 from nerf_rl.pretrain.model.checkpoint_file import ENCODER
 from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.pretrain.model.encoder_file import SIMULATORS
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 
 _WARM_UP = 0.03  # share of the schedule in which the learning rate rises

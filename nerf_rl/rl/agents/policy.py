@@ -14,9 +14,9 @@ from nerf_rl.errors import FailureError
 from nerf_rl.files.json_files import write_json
 from nerf_rl.files.tensor_files import filled, read_tensors, write_tensors
 from nerf_rl.files.versions import package_versions
-from nerf_rl.rl.agents.artefact import POLICY_DESCRIPTION, POLICY_VERSION, POLICY_WEIGHTS, check_policy
 from nerf_rl.rl.agents.networks import Actor, LayeredActor, LayeredConfig
 from nerf_rl.rl.agents.normalisation import RunningNorm
+from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION, POLICY_VERSION, POLICY_WEIGHTS, check_policy
 from nerf_rl.rl.config import NetworkConfig
 from nerf_rl.rl.environments.make import EnvSpec, spec_from_json
 

@@ -19,8 +19,8 @@ from nerf_rl.progress import Progress
 from nerf_rl.rl.baselines.models import CLIPPED_AT, export_actor, make_model
 from nerf_rl.rl.config import TrainRLConfig
 from nerf_rl.rl.environments.make import EnvSpec, make_worker_env
+from nerf_rl.rl.training.curves import MetricsLog
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes
-from nerf_rl.rl.training.records import MetricsLog
 
 _LOSS = {"ppo": "train/value_loss", "sb3-ddpg": "train/critic_loss"}  # in SB3's logger
 _FOREVER = 2**60  # agent steps: the callback decides when training ends

@@ -8,7 +8,7 @@ from typing import Any
 
 from nerf_rl.errors import UserError
 from nerf_rl.files.versions import package_versions
-from nerf_rl.pretrain.model.artefact import SIMULATORS, read_description
+from nerf_rl.pretrain.model.encoder_file import SIMULATORS, read_description
 
 
 def check_encoder_scene(encoder: str | Path, scene: str) -> None:

@@ -31,8 +31,8 @@ from nerf_rl.rl.training.checkpoint import (
     save_checkpoint,
     strip_prefix,
 )
+from nerf_rl.rl.training.curves import MetricsLog
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes, training_seed
-from nerf_rl.rl.training.records import MetricsLog
 
 _STEP_TIMEOUT = 300.0  # [s] a worker that is silent for so long has hung
 

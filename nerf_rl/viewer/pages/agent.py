@@ -12,11 +12,11 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from nerf_rl.files.json_files import read_json
-from nerf_rl.files.runs import SUMMARY
+from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.pictures.images import surface_limits
-from nerf_rl.pretrain.model.artefact import read_description
 from nerf_rl.pretrain.model.conditioned_field import ConditionedField
 from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.pretrain.model.encoder_file import read_description
 from nerf_rl.pretrain.model.field import RadianceField
 from nerf_rl.pretrain.model.ray_rendering import RenderedImages
 from nerf_rl.rl.agents.policy import Policy

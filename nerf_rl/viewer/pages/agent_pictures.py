@@ -11,8 +11,8 @@ from nerf_rl.pictures.images import colour_depth, colour_labels
 from nerf_rl.pretrain.model.conditioned_field import ConditionedField
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 from nerf_rl.pretrain.model.ray_rendering import RenderedImages
+from nerf_rl.rl.training.curves import draw_returns, draw_success
 from nerf_rl.rl.training.evaluation_results import tells_success
-from nerf_rl.rl.training.records import draw_returns, draw_success
 from nerf_rl.viewer.drawing.charts import lines_chart, rasterise
 from nerf_rl.viewer.drawing.pictures import caption, magnify, side_by_side, stack
 from nerf_rl.viewer.drawing.slides import Slide

@@ -7,7 +7,7 @@ import yaml
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import MissingFileError, UserError
 from nerf_rl.machine.devices import resolve_device
-from nerf_rl.pretrain.model.artefact import read_description
+from nerf_rl.pretrain.model.encoder_file import read_description
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 from nerf_rl.viewer.config import ViewConfig
 

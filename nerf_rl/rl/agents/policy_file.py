@@ -7,7 +7,7 @@ from typing import Any
 from nerf_rl.errors import MissingFileError, UserError
 from nerf_rl.files.json_files import read_json
 from nerf_rl.files.structure import flag, listing, mapping, number, one_of, optional, text, whole
-from nerf_rl.pretrain.model.artefact import WEIGHTS, is_checkpoint, read_description
+from nerf_rl.pretrain.model.encoder_file import WEIGHTS, is_checkpoint, read_description
 
 POLICY_VERSION = 2
 POLICY_WEIGHTS, POLICY_DESCRIPTION = "policy.safetensors", "policy.json"

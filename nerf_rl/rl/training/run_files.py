@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from nerf_rl.files.json_files import write_json
-from nerf_rl.files.runs import SUMMARY
+from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.machine.memory import peak_rss_mb
-from nerf_rl.rl.agents.artefact import encoder_digest
+from nerf_rl.rl.agents.policy_file import encoder_digest
 from nerf_rl.rl.config import NetworkConfig, TrainRLConfig
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class RunRecord:
     def keep(self, actor: "nn.Sequential", network: "NetworkConfig | LayeredConfig", state: TrainingState) -> None:
         """Write the policy (from raw observations to actions), draw the learning curve, tell ``on_evaluation``."""
         from nerf_rl.rl.agents.policy import Policy
-        from nerf_rl.rl.training.records import draw_learning_curve
+        from nerf_rl.rl.training.curves import draw_learning_curve
 
         policy = Policy(actor, self._spec, network, *self._sizes, self._proprio_names, self._digest, state.env_steps)
         policy.save(self._run)

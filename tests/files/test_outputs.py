@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from nerf_rl.errors import OutputExistsError
-from nerf_rl.files import runs
+from nerf_rl.files import outputs
 
 
 @dataclasses.dataclass
@@ -37,74 +37,74 @@ def foreign(tmp_path: Path) -> Path:
 def ours(tmp_path: Path) -> Path:
     """A folder that an earlier run wrote."""
     folder = tmp_path / "run"
-    runs.prepare_output(folder, overwrite=False)
-    runs.write_provenance(folder, "pretrain", Config())
+    outputs.prepare_output(folder, overwrite=False)
+    outputs.write_provenance(folder, "pretrain", Config())
     (folder / "old.txt").write_text("old")
     return folder
 
 
 def test_a_new_output_folder_is_made_with_its_parents(tmp_path: Path):
-    runs.prepare_output(tmp_path / "a" / "b", overwrite=False)
+    outputs.prepare_output(tmp_path / "a" / "b", overwrite=False)
     assert (tmp_path / "a" / "b").is_dir()
 
 
 def test_an_empty_folder_is_accepted(tmp_path: Path):
-    runs.prepare_output(tmp_path, overwrite=False)
+    outputs.prepare_output(tmp_path, overwrite=False)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_full_folder_is_refused_and_kept(ours: Path):
     with pytest.raises(OutputExistsError, match="already exists and is not empty; use --overwrite true or another"):
-        runs.prepare_output(ours, overwrite=False)
+        outputs.prepare_output(ours, overwrite=False)
     assert (ours / "old.txt").read_text() == "old"
 
 
 def test_resuming_is_offered_only_where_it_is_possible(ours: Path, foreign: Path):
     with pytest.raises(OutputExistsError, match="--resume true"):
-        runs.prepare_output(ours, overwrite=False, can_resume=True)
+        outputs.prepare_output(ours, overwrite=False, can_resume=True)
     with pytest.raises(OutputExistsError, match=r"^((?!--resume).)*$"):
-        runs.prepare_output(foreign, overwrite=False, can_resume=True)
+        outputs.prepare_output(foreign, overwrite=False, can_resume=True)
 
 
 def test_resuming_keeps_what_is_there(ours: Path):
-    runs.prepare_output(ours, overwrite=False, resume=True, can_resume=True)
+    outputs.prepare_output(ours, overwrite=False, resume=True, can_resume=True)
     assert (ours / "old.txt").read_text() == "old"
 
 
 def test_overwriting_empties_a_folder_of_ours(ours: Path):
-    runs.prepare_output(ours, overwrite=True)
+    outputs.prepare_output(ours, overwrite=True)
     assert list(ours.iterdir()) == []
 
 
 def test_overwriting_never_removes_a_folder_that_is_not_ours(foreign: Path):
     with pytest.raises(OutputExistsError, match=r"holds no provenance\.json, so it is not overwritten"):
-        runs.prepare_output(foreign, overwrite=True)
+        outputs.prepare_output(foreign, overwrite=True)
     assert (foreign / "chapter.tex").read_text() == "years of work"
 
 
 def test_an_output_that_is_a_file_is_refused_and_kept(foreign: Path):
     for overwrite in (False, True):
         with pytest.raises(OutputExistsError):
-            runs.prepare_output(foreign / "chapter.tex", overwrite=overwrite)
+            outputs.prepare_output(foreign / "chapter.tex", overwrite=overwrite)
     assert (foreign / "chapter.tex").read_text() == "years of work"
 
 
 def test_a_write_that_fails_leaves_the_old_file_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = tmp_path / "summary.json"
-    runs.write_text(path, "old")
+    outputs.write_text(path, "old")
 
     def fail(descriptor: int) -> None:
         raise OSError("no space left on device")
 
     monkeypatch.setattr(os, "fsync", fail)
     with pytest.raises(OSError, match="no space"):
-        runs.write_text(path, "new")
+        outputs.write_text(path, "new")
     assert path.read_text() == "old"
 
 
 def test_a_written_file_replaces_the_old_one_and_leaves_nothing_beside(tmp_path: Path):
-    runs.write_text(tmp_path / "a.txt", "old")
-    runs.write_text(tmp_path / "a.txt", "nëw")
+    outputs.write_text(tmp_path / "a.txt", "old")
+    outputs.write_text(tmp_path / "a.txt", "nëw")
     assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]
     assert (tmp_path / "a.txt").read_text(encoding="utf-8") == "nëw"
 
@@ -118,16 +118,16 @@ def test_a_folder_cut_off_while_it_was_overwritten_can_be_overwritten_again(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(runs.shutil, "rmtree", stop)
-        runs.prepare_output(ours, overwrite=True)
+        patch.setattr(outputs.shutil, "rmtree", stop)
+        outputs.prepare_output(ours, overwrite=True)
     assert (ours / "zzz").exists()
-    runs.prepare_output(ours, overwrite=True)
+    outputs.prepare_output(ours, overwrite=True)
     assert list(ours.iterdir()) == []
 
 
 def test_json_refuses_what_json_cannot_say(tmp_path: Path):
     with pytest.raises(ValueError, match="JSON compliant"):
-        runs.write_json(tmp_path / "a.json", {"psnr_db": float("inf")})
+        outputs.write_json(tmp_path / "a.json", {"psnr_db": float("inf")})
     assert not (tmp_path / "a.json").exists()
 
 

@@ -10,13 +10,13 @@ from typing import Any
 
 from nerf_rl.datasets.config import GenDatasetConfig
 from nerf_rl.datasets.generation.manifest import finished_shard
-from nerf_rl.datasets.generation.shard_rendering import RenderedShard, shard_count
+from nerf_rl.datasets.generation.shard_episodes import RenderedShard, shard_count
 from nerf_rl.datasets.storage.plan import PLAN, begun_plan, plan_of
 from nerf_rl.datasets.storage.shards import MANIFEST, PARTS, SHARDS, partial_files, shard_file, shard_path
 from nerf_rl.errors import OutputExistsError, UserError
 from nerf_rl.files.checksummed_json import is_whole
 from nerf_rl.files.json_files import read_json, write_json
-from nerf_rl.files.runs import SUMMARY, check_output, prepare_output, write_provenance
+from nerf_rl.files.outputs import SUMMARY, check_output, prepare_output, write_provenance
 
 
 class OutputRecord:
