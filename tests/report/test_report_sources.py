@@ -50,7 +50,7 @@ def test_an_agent_on_the_true_state_has_a_page_of_its_own(stateful: Path, tmp_pa
     assert cli.main(["report", "--agent", str(stateful), "--out", str(page), "--episodes", "1"]) == 0
     assert sections(page) == ["Policy", "How it was made"]
     last = json.loads((stateful / "summary.json").read_text())["evaluations"][-1]
-    assert f"{last['success_rate']:.0%} success" in page.read_text() and "true state" in page.read_text()
+    assert f"success {last['success_rate']:.0%}" in page.read_text() and "true state" in page.read_text()
     assert frames_of_clip(page)[1:] == (256, 256)
 
 

@@ -46,6 +46,7 @@ def test_training_leaves_what_it_promises(run: Path) -> None:
         "policy.json",
         "policy.safetensors",
         "checkpoints",
+        "logs",
     }
     summary = json.loads((run / "summary.json").read_text())
     assert summary["env_steps"] == 120

@@ -135,7 +135,7 @@ def test_a_video_is_of_the_scene_and_not_of_a_table_elsewhere(encoder_of: tuple[
     made = make_scene(scene)
     made.env.reset(seed=0)
     middle = episode.view[0][16:48, 16:48].reshape(-1, 3)
-    assert middle.std(0).max() > 20  # the arm, not an empty floor
+    assert middle.std(0).max() > 10  # the arm, not an empty floor
     assert (episode.view[0] != episode.view[-1]).any()
 
 

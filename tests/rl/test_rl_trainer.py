@@ -96,4 +96,8 @@ def test_only_the_newest_complete_checkpoint_is_kept(envs: AsyncVectorEnv, tmp_p
     (tmp_path / "checkpoints" / "partial").mkdir()
     assert last_checkpoint(tmp_path) == tmp_path / "checkpoints" / "00000072"
     assert sorted(path.name for path in (tmp_path / "checkpoints").iterdir()) == ["00000072", "partial"]
-    assert {path.suffix for path in tmp_path.rglob("*") if path.is_file()} <= {".csv", ".json", ".safetensors"}
+    assert {path.suffix for path in (tmp_path / "checkpoints").rglob("*") if path.is_file()} <= {
+        ".csv",
+        ".json",
+        ".safetensors",
+    }
