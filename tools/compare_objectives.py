@@ -11,15 +11,14 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from compare_precision import ENDLESS, RECIPE, processor
-from compare_tasks import command
+from compare_precision import ENDLESS, RECIPE
+from compare_tasks import command, made_by
 from record_demo import markdown_table, replace_tables
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
-from nerf_rl.files.versions import git_revision, package_versions
 
 RESULT, README = Path("pretrain/results/objectives.json"), Path("pretrain/README.md")
 FOLDER, WHOLE = Path("pretrain/objectives"), "field"
@@ -41,14 +40,7 @@ def main() -> None:
     for data in arguments.data:
         for seed in arguments.seeds:
             for objective in arguments.objectives:
-                row = {
-                    **run(data, objective, seed, arguments),
-                    "git_revision": git_revision(),
-                    "packages": package_versions(),
-                    "processor": processor(),
-                    "minutes": arguments.minutes,
-                    "threads": arguments.threads,
-                }
+                row = {**run(data, objective, seed, arguments), **made_by(arguments)}
                 add(row, arguments.table)
 
 

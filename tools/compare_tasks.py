@@ -39,14 +39,7 @@ def main() -> None:
     arguments = parser.parse_args()
     for task in arguments.tasks:
         for seed in arguments.seeds:
-            row = {
-                **run(task, seed, arguments),
-                "git_revision": git_revision(),
-                "packages": package_versions(),
-                "processor": processor(),
-                "minutes": arguments.minutes,
-                "threads": arguments.threads,
-            }
+            row = {**run(task, seed, arguments), **made_by(arguments)}
             known = read_json(arguments.table)["runs"] if arguments.table.exists() else []
             others = [other for other in known if (other["task"], other["seed"]) != (task, seed)]
             rows = sorted([*others, row], key=lambda row: (row["task"], row["seed"]))
@@ -67,6 +60,12 @@ def run(task: str, seed: int, arguments: argparse.Namespace) -> dict[str, Any]:
     keys = ["--ceiling_steps", CEILING_STEPS, "--seed", str(seed), "--overwrite", "true"]
     command(probe, "probe", "--encoder", str(encoder), "--data", str(data), "--out", str(probe), *keys)
     return {"task": task, "seed": seed, **read_json(encoder / SUMMARY), **read_json(probe / SUMMARY)}
+
+
+def made_by(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what a row of figures was made by."""
+    versions = {"git_revision": git_revision(), "packages": package_versions(), "processor": processor()}
+    return {**versions, "minutes": arguments.minutes, "threads": arguments.threads}
 
 
 def command(out: Path, *words: str) -> None:

@@ -114,18 +114,19 @@ class _Camera:
 
     def __init__(self, env: gymnasium.Env, scene: Scene | None, size: int):
         self._env, self._scene, self._size = env, scene, size
+        self._workspace = None if scene is None else scene.workspace()  # before an episode begins
         self._renderer = MultiViewRenderer(scene.model, size, size, 1) if scene is not None else None
 
     def picture(self) -> UInt8[ndarray, "S S 3"]:
         """Return what it sees now."""
-        if self._scene is None or self._renderer is None:
+        if self._scene is None or self._workspace is None or self._renderer is None:
             frame: Any = self._env.render()
             height, width, _ = frame.shape
             side = min(height, width)
             top, left = (height - side) // 2, (width - side) // 2
             square = frame[top : top + side, left : left + side]
             return cv2.resize(square, (self._size, self._size), interpolation=cv2.INTER_AREA)
-        workspace, data = self._scene.workspace(), self._scene.render_data()
+        workspace, data = self._workspace, self._scene.render_data()
         intrinsics = intrinsics_from_fovy(_FOVY, self._size, self._size)[None]
         pose = look_at(workspace.centre_in(data), _AWAY * workspace.distance(_FOVY), 25.0, -30.0)[None]
         return self._renderer.render_rgb(data, intrinsics, pose)[0]

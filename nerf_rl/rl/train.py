@@ -48,6 +48,8 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
 
     spec = EnvSpec(config.scene, encoder, config.action_repeat, config.episode_steps, config.panda)
     proprio_names = check_scene(spec)
+    if config.replay.hindsight and encoder is not None:
+        raise UserError("--replay.hindsight exchanges goals in the true state; leave out --encoder or hindsight")
     goal_task = make_goal_task(spec) if config.replay.hindsight else None
     if config.replay.hindsight and goal_task is None:
         raise UserError(f"--replay.hindsight needs a scene with a goal in its observation; {config.scene} has none")

@@ -1,6 +1,7 @@
 """Scenes of which nothing is known but the model's structure: parts, columns and cameras follow from it."""
 
 import dataclasses
+import functools
 from collections.abc import Iterator
 from typing import Any
 
@@ -28,7 +29,6 @@ class StructuredScene(Scene):
         self.parts = find_parts(self.model)
         self._columns = StateColumns(self.model, self.parts)
         self.proprio_names, self.privileged_names = self._columns.proprio_names, self._columns.privileged_names
-        self._workspace = self._fit_workspace()
 
     def proprio(self, observation: Any) -> Float[ndarray, "P"]:
         """Return positions and velocities of the robot's joints."""
@@ -39,8 +39,16 @@ class StructuredScene(Scene):
         return self._columns.privileged(self.render_data())
 
     def workspace(self) -> Workspace:
-        """Return the ball around what moves in a few random episodes; it goes with a robot that travels."""
+        """Return the ball around what moves in a few random episodes; it goes with a robot that travels.
+
+        The first call acts them and resets the environment, so it is no call for the middle of an episode; who needs no
+        cameras, such as an agent on the true state, never acts them.
+        """
         return self._workspace
+
+    @functools.cached_property
+    def _workspace(self) -> Workspace:
+        return self._fit_workspace()
 
     def default_cameras(self) -> list[CameraConfig]:
         """Return a ring of three around the workspace."""
@@ -54,13 +62,13 @@ class StructuredScene(Scene):
         """Act at random for a few short episodes, and put a ball around what moves there."""
         roots = (root for root in self.parts.robot if can_travel(self.model, root))
         base = next((name for root in roots if (name := self.model.body(root).name)), "")
-        ball = fit_workspace(self.model, self.render_data())
         centres, radii = [], np.zeros(0)
         for shown in self._random_states():
             places, radii = moving_balls(self.model, shown)
             centres.append(places - shown.body(base).xpos if base else places)
-        if len(radii):
-            ball = around(np.stack(centres), radii, _LEFT_OUT)
+        if not len(radii):
+            return fit_workspace(self.model, self.render_data())
+        ball = around(np.stack(centres), radii, _LEFT_OUT)
         if not base:
             return ball
         shown = self.render_data()

@@ -155,6 +155,7 @@ def test_what_cannot_be_acted_in_is_told(capsys: pytest.CaptureFixture[str], tmp
     assert train(tmp_path / "run", "--scene", "gym/Reacher-v9") == 2
     assert train(tmp_path / "run", "--scene", REACHER, "--replay.hindsight", "4") == 2
     assert "--replay.hindsight needs a scene with a goal" in capsys.readouterr().err
+    assert "_workspace" not in vars(make_scene(REACHER))  # nothing is acted before cameras ask for it
     assert not (tmp_path / "run").exists()
     env = gymnasium.Env()
     env.action_space = gymnasium.spaces.Box(-np.inf, np.inf, (2,))

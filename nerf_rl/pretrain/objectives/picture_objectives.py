@@ -2,6 +2,7 @@
 
 import copy
 import math
+from abc import ABC, abstractmethod
 from itertools import pairwise
 
 import torch
@@ -20,7 +21,7 @@ _HIDDEN_PATCHES, _PATCHES_ACROSS = 0.5, 8
 _GREY = 128
 
 
-class Objective(nn.Module):
+class Objective(nn.Module, ABC):
     """Gives the losses of a batch. A subclass may have networks of its own, which are not kept with the encoder.
 
     Args:
@@ -31,6 +32,7 @@ class Objective(nn.Module):
     def __init__(self, encoder: Encoder, columns: int):
         super().__init__()
 
+    @abstractmethod
     def forward(self, encoder: Encoder, batch: ViewBatch, generator: torch.Generator) -> dict[str, Tensor]:
         """Return losses by name, which are added.
 
@@ -39,7 +41,6 @@ class Objective(nn.Module):
             batch: to train it on.
             generator: of what is random.
         """
-        raise NotImplementedError
 
 
 class Autoencoder(Objective):
