@@ -7,10 +7,11 @@ thing that matters. A middle has a slope from anywhere. It takes labels and dept
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from nerf_rl.cameras.geometry import camera_position
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 
 BACKGROUND = 0
 """class id of what nothing follows"""
@@ -60,21 +61,21 @@ def visible_middles(
         classes: number of classes.
     """
     frames, views, height, width = depth.shape
-    labels = semantic.ravel()
-    shown = np.flatnonzero(labels != BACKGROUND)
-    image, pixel = np.divmod(shown.astype(np.int32), height * width)
-    row, column = np.divmod(pixel, width)
-    view = image % views
-    distance = depth.ravel()[shown]
-    group = image * classes + labels[shown]
     x = (np.arange(width) + 0.5 - intrinsics[:, :1, 2]) / intrinsics[:, :1, 0]
     y = (np.arange(height) + 0.5 - intrinsics[:, 1:2, 2]) / intrinsics[:, 1:2, 1]
-    # sums in each camera's axes, which are few enough to be turned into the world's one by one
-    local = [distance * x[view, column], distance * y[view, row], distance]
-    size = frames * views * classes
-    shape = (frames, views, classes)
-    count = np.bincount(group, minlength=size).reshape(shape)
-    sums = np.stack([np.bincount(group, axis, size).reshape(shape) for axis in local], axis=-1)
+    rays = np.ones((views, height, width, 3), np.float32)
+    rays[..., 0], rays[..., 1] = x[:, None], y[:, :, None]
+    ids = np.arange(classes, dtype=np.uint8)[:, None]
+    count = np.zeros((frames, views, classes))
+    sums = np.zeros((frames, views, classes, 3))
+    # sums in each camera's axes, which are few enough to be turned into the world's one by one; an image at a time,
+    # as products of matrices
+    for frame, view in np.ndindex(frames, views):
+        shown = semantic[frame, view].ravel() == ids
+        shown[BACKGROUND] = False
+        count[frame, view] = shown.sum(1)
+        points = depth[frame, view].astype(np.float32)[..., None] * rays[view]
+        sums[frame, view] = shown.astype(np.float32) @ points.reshape(-1, 3)
     position = camera_position(camera_from_world)[:, :, None]
     world = sums @ camera_from_world[..., :3, :3] + count[..., None] * position
     pixels = count.sum(1)
@@ -92,3 +93,42 @@ def choose_anchors(middles: Middles) -> Anchors:
     chosen = np.flatnonzero(often & (spread >= _LEAST_SPREAD_M))
     chosen = chosen[chosen != BACKGROUND]
     return Anchors(tuple(int(c) for c in chosen), mean[chosen], spread[chosen])
+
+
+class FollowedMiddles:
+    """The middles of the classes that are followed, each frame's measured when a batch first shows it.
+
+    Every frame is drawn several times in a run, and to measure it costs as much as a quarter of its batch.
+
+    Args:
+        dataset: of the frames.
+        anchors: the classes.
+    """
+
+    def __init__(self, dataset: MultiViewDataset, anchors: Anchors):
+        self._classes, self._of = list(anchors.classes), len(dataset.class_names)
+        self._measured = np.zeros(len(dataset), bool)
+        self._place = np.zeros((len(dataset), len(self._classes), 3), np.float32)
+        self._seen = np.zeros((len(dataset), len(self._classes)), bool)
+
+    def of(
+        self,
+        frames: Int[ndarray, "B"],
+        depth: Float[ndarray, "B V H W"],
+        semantic: UInt8[ndarray, "B V H W"],
+        intrinsics: Float[ndarray, "V 3 3"],
+        camera_from_world: Float[ndarray, "B V 4 4"],
+    ) -> Middles:
+        """Return those of some frames.
+
+        Args:
+            frames: their indices in the dataset.
+            depth, semantic, intrinsics, camera_from_world: of them, as :func:`visible_middles` takes them.
+        """
+        new = np.flatnonzero(~self._measured[frames])
+        if len(new):
+            found = visible_middles(depth[new], semantic[new], intrinsics, camera_from_world[new], self._of)
+            self._place[frames[new]] = found.place[:, self._classes]
+            self._seen[frames[new]] = found.seen[:, self._classes]
+            self._measured[frames[new]] = True
+        return Middles(self._place[frames], self._seen[frames])

@@ -12,7 +12,7 @@ from torch.utils.data import Dataset
 from nerf_rl.cameras.geometry import camera_position, pixel_directions
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import PretrainConfig
-from nerf_rl.pretrain.data.anchors import visible_middles
+from nerf_rl.pretrain.data.anchors import FollowedMiddles
 from nerf_rl.pretrain.data.statistics import Statistics
 from nerf_rl.pretrain.data.teachers import Pixels, Views, teacher_features
 
@@ -60,6 +60,7 @@ class RayBatches(Dataset):
         self._frames = dataset.split("train")
         self._encoder_views = dataset.views("encoder")
         self._views = dataset.views("encoder", "supervision")
+        self._middles = FollowedMiddles(dataset, statistics.anchors)
 
     def __getitem__(self, step: int) -> RayBatch:
         config, far = self._config, self._statistics.bounds.far
@@ -82,8 +83,7 @@ class RayBatches(Dataset):
         views = Views(flat_rgb, flat_depth, flat_semantic, flat_intrinsics, flat_poses, far)
         features = teacher_features(config.teachers, views, Pixels(image, row, column))
         own = self._encoder_views
-        followed, classes = list(self._statistics.anchors.classes), len(self._statistics.class_weights)
-        middles = visible_middles(depth[:, own], semantic[:, own], intrinsics[own], poses[:, own], classes)
+        middles = self._middles.of(frames, depth[:, own], semantic[:, own], intrinsics[own], poses[:, own])
         shape = (len(frames), config.rays_per_scene)
 
         def tensor(values: ndarray, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -98,8 +98,8 @@ class RayBatches(Dataset):
             tensor(semantic[scene, view, row, column], torch.int64),
             tensor(np.minimum(depth[scene, view, row, column], far)),
             tensor(features),
-            torch.from_numpy(middles.place[:, followed].astype(np.float32)),
-            torch.from_numpy(middles.seen[:, followed]),
+            torch.from_numpy(middles.place),
+            torch.from_numpy(middles.seen),
         )
 
     def _draw_pixels(
