@@ -86,6 +86,10 @@ class ReplayConfig:
     epsilon: float = 0.01
     """added to each absolute error, so that no transition is forgotten"""
     hindsight: int = 0
+    good_share: float = 0.0
+    """share of each batch that is drawn from the best episodes"""
+    good_episodes: float = 0.1
+    """share of all episodes, by return, that are the best ones"""
     """copies of each transition with goals that were reached; only for scenes with a goal"""
     hindsight_random: float = 0.0
     """share of these goals that were reached at any time in training; the others were, later in the same episode"""
@@ -95,6 +99,8 @@ class ReplayConfig:
         if self.capacity < 1:
             raise UserError(f"--replay.capacity must be at least 1, got {self.capacity}")
         if not 0 <= self.hindsight_random <= 1:
+        if not 0 <= self.good_share < 1 or not 0 < self.good_episodes <= 1:
+            raise UserError("replay needs good_share in [0, 1) and good_episodes in (0, 1]")
             raise UserError(f"--replay.hindsight_random must be in [0, 1], got {self.hindsight_random}")
         if self.hindsight < 0:
             raise UserError(f"--replay.hindsight must not be negative, got {self.hindsight}")

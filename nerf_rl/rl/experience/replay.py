@@ -15,8 +15,9 @@ from torchrl.data import LazyMemmapStorage, ReplayBuffer
 from torchrl.data.replay_buffers.samplers import PrioritizedSampler, RandomSampler
 
 from nerf_rl.errors import MissingFileError, UserError
-from nerf_rl.files.tensor_files import require_tensors
+from nerf_rl.files.tensor_files import require_tensors, strip_prefix
 from nerf_rl.rl.config import ReplayConfig
+from nerf_rl.rl.experience.good_episodes import GoodEpisodes
 from nerf_rl.rl.experience.n_step import Transition
 
 logging.getLogger("torchrl").setLevel(logging.WARNING)
@@ -49,6 +50,7 @@ class Replay:
         folder: holds the file until :meth:`close`.
         seed: of the drawing.
         checkpoint_rows: rows that checkpoints hold beside memory, at most; for the room that they need on the disk.
+        envs: environments whose episodes are told apart.
 
     Attributes:
         stored: how many rows have ever been stored; those still there are the last ``len(replay)`` of them.
@@ -67,6 +69,7 @@ class Replay:
         folder: Path,
         seed: int = 0,
         checkpoint_rows: int = 0,
+        envs: int = 1,
     ):
         self.prioritised = config.prioritised
         self._batch_size = batch_size
@@ -86,6 +89,8 @@ class Replay:
         self._buffer = ReplayBuffer(storage=self._storage, sampler=self._sampler, batch_size=batch_size)
         self._buffer.set_rng(self.generator)
         self._rows: Tensor | None = None
+        self._good = GoodEpisodes(envs, config.good_episodes)
+        self._good_count = round(config.good_share * batch_size)
 
     def __len__(self) -> int:
         return len(self._storage)
@@ -101,6 +106,12 @@ class Replay:
         """How many rows were stored before the oldest that is still there."""
         return self.stored - len(self)
 
+            if env is not None:
+                self._good.add(env, range(before, self.stored))
+
+    def end_episode(self, env: int, score: float) -> None:
+        """Tell that an environment's episode is over, all its transitions being stored, and its return."""
+        self._good.end(env, score, self.oldest)
     def rows(self, first: int, end: int) -> Float[Tensor, "N W"]:
         """Return the rows before which ``first``, ``first`` + 1, ... and ``end`` - 1 others were stored."""
         return self._gather_rows(torch.arange(first, end) % self._capacity)
@@ -112,7 +123,13 @@ class Replay:
         """
         if self.prioritised:
             self._sampler.beta = beta
-        index, information = self._sampler.sample(self._storage, self._batch_size)
+        good = self._good_count if len(self._good) else 0
+        count = self._batch_size - good
+        index, information = self._sampler.sample(self._storage, count)
+        weight = information["priority_weight"].float() if self.prioritised else torch.ones(count)
+        if good:
+            index = torch.cat([index, self._good.draw(good, self.generator) % self._capacity])
+            weight = torch.cat([weight, weight.mean().expand(good)])
         observation, action, reward, discount, next_observation = self._gather(index)
         weight = information["priority_weight"].float() if self.prioritised else torch.ones(self._batch_size)
         return Batch(index, weight, observation, action, reward.squeeze(-1), discount.squeeze(-1), next_observation)
@@ -143,7 +160,7 @@ class Replay:
             sampler = self._sampler.state_dict()
             state["powered_priority"] = torch.as_tensor(sampler["_sum_tree"][indices])
             state["max_priority"] = torch.as_tensor(self._sampler.default_priority, dtype=torch.float32)
-        return state
+        return state | {f"good.{name}": tensor for name, tensor in self._good.state_dict().items()}
 
     def load_state(self, state: dict[str, Tensor], source: Path = Path("the checkpoint")) -> None:
         """Fill an empty memory with what :meth:`state` returned; its rows are there from the oldest on.
@@ -176,6 +193,7 @@ class Replay:
         self._buffer.writer.load_state_dict({"_cursor": stored % self._capacity})
         if self.prioritised:
             sampler = self._sampler.state_dict()
+        like |= {name: tensor.detach() for name, tensor in state.items() if name.startswith("good.")}
             indices = torch.arange(len(self))
             for tree in ("_sum_tree", "_min_tree"):
                 sampler[tree][indices] = state["powered_priority"]
@@ -183,6 +201,7 @@ class Replay:
             self._sampler.load_state_dict(sampler)
 
     def close(self) -> None:
+            self._good.load_state_dict(strip_prefix(state, "good"), stored)
         """Remove the file."""
         self._rows = None
         shutil.rmtree(self._folder, ignore_errors=True)

@@ -69,7 +69,7 @@ class Trainer:
         )
         self._checkpoint = last_checkpoint(run) if config.resume else None
         sizes = (self.observation_size, self.action_size, learner.batch_size)
-        self.replay = Replay(config.replay, *sizes, run / "replay", config.seed, self._checkpoint_rows())
+        self.replay = Replay(config.replay, *sizes, run / "replay", config.seed, self._checkpoint_rows(), count)
         steps = -(-config.episode_steps // config.action_repeat)
         self._noise = Noise(config.noise, count, self.action_size, steps, self._rng)
         self._held = HeldActions(count, self.action_size, config.noise.hold_steps, self._rng, config.noise.hold_kind)
@@ -111,8 +111,9 @@ class Trainer:
                 rate = (self.agent.updates - last_updates) / max(self.seconds - last_seconds, 1e-9)
                 self._log(rate)
                 last_log, last_updates, last_seconds = self.env_steps, self.agent.updates, self.seconds
-        for n_step in self._n_steps:
-            self.replay.add(n_step.cut())
+        for env, n_step in enumerate(self._n_steps):
+            self.replay.add(n_step.cut(), env)
+            self.replay.end_episode(env, self._returns[env])
         for hindsight in self._hindsight:
             self.replay.add(hindsight.cut())
         self.episodes += int((self._length > 0).sum())
@@ -202,7 +203,7 @@ class Trainer:
         next_observation, reward, terminated, truncated, info = stepped
         for env, n_step in enumerate(self._n_steps):
             step = (observation[env], action[env], float(reward[env]), next_observation[env])
-            self.replay.add(n_step.push(*step, bool(terminated[env]), bool(truncated[env])))
+            self.replay.add(n_step.push(*step, bool(terminated[env]), bool(truncated[env])), env)
         for env, hindsight in enumerate(self._hindsight):
             ended = bool(terminated[env] or truncated[env])
             self.replay.add(hindsight.push(observation[env], action[env], next_observation[env], ended))
@@ -217,6 +218,7 @@ class Trainer:
             return next_observation
         for env in np.flatnonzero(done).tolist():
             self.episodes += 1
+            self.replay.end_episode(env, self._returns[env])
             figures = {"episode_return": self._returns[env], "episode_length": float(self._length[env])}
             self.metrics.gather(figures | ({"episode_success": float(self._success[env])} if "success" in info else {}))
         return self._restart(done)
