@@ -25,7 +25,6 @@ from nerf_rl.rl.config import LearnerConfig, NetworkConfig
 from nerf_rl.rl.environments.make import EnvSpec
 from nerf_rl.rl.environments.observation import LatentObservation
 from nerf_rl.rl.experience.replay import Batch, Replay
-from nerf_rl.rl.training.checkpoint import agent_tensors
 from nerf_rl.scenes.make import make_scene
 from nerf_rl.viewer.field.progressive import FreeCamera
 from nerf_rl.viewer.pages.action_values import ActionValues
@@ -48,6 +47,12 @@ class Memory(Replay):
     def sample_observations(self) -> torch.Tensor:
         return torch.zeros(4, 3)
 
+    def __len__(self) -> int:
+        return 4
+
+    def observations(self, index: np.ndarray) -> np.ndarray:
+        return np.zeros((len(index), 3), np.float32)
+
     def update_priority(self, index: torch.Tensor, error: torch.Tensor) -> None:
         self.updated += [index.device, error.device]
 
@@ -61,18 +66,21 @@ def learner(normalisation: str, actor_batch: str) -> None:
     network = NetworkConfig(hidden=[8, 8], normalisation=normalisation)
     agent = DDPG(3, 2, network, LearnerConfig(actor_batch=actor_batch), GPU)
 
-    def backward(_: torch.Tensor) -> None:
+    def grad(_: torch.Tensor, inputs: torch.Tensor | list[torch.Tensor]) -> list[torch.Tensor]:
+        # of both, as in a real run: without, PyTorch's fake batch statistics corrupt the process's memory
         for parameter in (*agent.actor.parameters(), *agent.critic.parameters()):
-            parameter.grad = torch.zeros_like(parameter) if parameter.requires_grad else None
+            parameter.grad = torch.zeros_like(parameter)
+        return [torch.zeros_like(one) for one in (inputs if isinstance(inputs, list) else [inputs])]
 
-    torch.Tensor.backward = backward
+    torch.autograd.grad = grad
     memory = Memory()
     for _ in range(2):
         agent.update_statistics(np.zeros((2, 3), np.float32))
         assert agent.act(np.zeros((2, 3), np.float32)).shape == (2, 2)
         agent.update(memory, beta=0.5)
+        agent.diagnose(memory)
     assert {device.type for device in memory.updated} == {"cpu"}
-    kept = {name: tensor.device for name, tensor in agent_tensors(agent).items()}
+    kept = {name: tensor.device for name, tensor in agent.state_dict().items()}
     assert agent.device == GPU and {device for name, device in kept.items() if "step" not in name} == {GPU}
 
 
@@ -120,7 +128,7 @@ def main(folder: Path, dataset: Path) -> None:
         print("frames", flush=True)
         observation(encoder(folder))
         print("observation", flush=True)
-        for normalisation, actor_batch in (("layer", "uniform"), ("batch", "prioritised"), ("none", "uniform")):
+        for normalisation, actor_batch in (("layer", "uniform"), ("none", "uniform"), ("batch", "prioritised")):
             learner(normalisation, actor_batch)
         print("learner", flush=True)
 

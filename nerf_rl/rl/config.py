@@ -11,7 +11,8 @@ from nerf_rl.machine.devices import check_device_name
 from nerf_rl.rl.baselines.config import PPOConfig
 
 NO_ENCODER = "none"
-ALGORITHMS = ("ddpg", "ppo", "sb3-ddpg")
+BASELINES = ("ppo", "sb3-ddpg")
+ALGORITHMS = ("ddpg", *BASELINES)
 
 HOLD_KINDS = ("corner", "anywhere")
 
@@ -85,11 +86,11 @@ class ReplayConfig:
     """exponent of the importance weights at the start; it grows linearly to 1 at the last step"""
     epsilon: float = 0.01
     """added to each absolute error, so that no transition is forgotten"""
-    hindsight: int = 0
     good_share: float = 0.0
     """share of each batch that is drawn from the best episodes"""
     good_episodes: float = 0.1
     """share of all episodes, by return, that are the best ones"""
+    hindsight: int = 0
     """copies of each transition with goals that were reached; only for scenes with a goal"""
     hindsight_random: float = 0.0
     """share of these goals that were reached at any time in training; the others were, later in the same episode"""
@@ -98,9 +99,9 @@ class ReplayConfig:
         require_most(self, "replay.", capacity=10**10, alpha=100, epsilon=10**6, hindsight=1000)
         if self.capacity < 1:
             raise UserError(f"--replay.capacity must be at least 1, got {self.capacity}")
-        if not 0 <= self.hindsight_random <= 1:
         if not 0 <= self.good_share < 1 or not 0 < self.good_episodes <= 1:
             raise UserError("replay needs good_share in [0, 1) and good_episodes in (0, 1]")
+        if not 0 <= self.hindsight_random <= 1:
             raise UserError(f"--replay.hindsight_random must be in [0, 1], got {self.hindsight_random}")
         if self.hindsight < 0:
             raise UserError(f"--replay.hindsight must not be negative, got {self.hindsight}")
@@ -136,9 +137,14 @@ class LearnerConfig:
     """factor on rewards inside the learner; reported returns are unscaled"""
     updates_per_step: float = 1.0
     """gradient updates per agent step"""
+    reset_after: int = 0
+    """environment steps without a success or a better return after which the networks start anew; 0 for never"""
+    reset_updates: int = 1000
+    """updates that fresh networks are given at once, from the memory so far"""
 
     def __post_init__(self) -> None:
-        require_most(self, "learner.", batch_size=2**20, n_step=10**6, updates_per_step=1000, actor_every=10**9)
+        require_most(self, "learner.", batch_size=2**20, n_step=10**6, updates_per_step=1000)
+        require_most(self, "learner.", actor_every=10**9, reset_updates=10**7)
         _one_of("actor batch", self.actor_batch, ("uniform", "prioritised"))
         if not 0 <= self.gamma <= 1:
             raise UserError(f"--learner.gamma must be in [0, 1], got {self.gamma}")
@@ -150,6 +156,9 @@ class LearnerConfig:
         for name in ("actor_rate", "critic_rate", "max_grad_norm", "reward_scale", "updates_per_step"):
             if getattr(self, name) <= 0:
                 raise UserError(f"--learner.{name} must be positive, got {getattr(self, name)}")
+        for name in ("reset_after", "reset_updates"):
+            if getattr(self, name) < 0:
+                raise UserError(f"--learner.{name} must not be negative, got {getattr(self, name)}")
         if self.pre_tanh_penalty < 0:
             raise UserError(f"--learner.pre_tanh_penalty must not be negative, got {self.pre_tanh_penalty}")
 
@@ -221,8 +230,8 @@ class TrainRLConfig:
     loggers: list[str] = field(default_factory=lambda: [TENSORBOARD])
     """where curves go besides metrics.csv: tensorboard, wandb, or a Lightning logger of your own by module:Class"""
     algo: str = "ddpg"
-    """ddpg (ours), or by Stable-Baselines3 (extra sb3): ppo, with the keys of ppo, or sb3-ddpg, with those of
-    learner, noise and replay that it shares"""
+    """ddpg (ours), an algorithm of your own that learns from replay by module:Class, or by Stable-Baselines3 (extra
+    sb3): ppo, with the keys of ppo, or sb3-ddpg, with those of learner, noise and replay that it shares"""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """ppo only"""
     seed: int = 0
@@ -238,7 +247,8 @@ class TrainRLConfig:
     """replace an existing run"""
 
     def __post_init__(self) -> None:
-        _one_of("algorithm", self.algo, ALGORITHMS)
+        if ":" not in self.algo:
+            _one_of("algorithm", self.algo, ALGORITHMS)
         check_loggers(self.loggers)
         counts = "env_steps action_repeat episode_steps envs evaluation_every evaluation_episodes"
         for name in f"{counts} final_evaluation_episodes checkpoint_every log_every threads".split():

@@ -11,7 +11,7 @@ from nerf_rl.loggers import require_loggers
 from nerf_rl.machine.devices import check_device, resolve_device
 from nerf_rl.machine.extras import import_extra
 from nerf_rl.progress import Progress
-from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
+from nerf_rl.rl.config import BASELINES, NO_ENCODER, TrainRLConfig
 from nerf_rl.rl.environments.encoder_match import check_encoder_scene, warn_of_workers_rendering
 from nerf_rl.rl.training.evaluation_results import describe_episodes
 from nerf_rl.rl.training.run_files import OnEvaluation, RunRecord
@@ -39,10 +39,15 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
         check_encoder_scene(encoder, config.scene)
     check_device(config.device)
     require_loggers(config.loggers)
-    if config.algo != "ddpg":
+    is_baseline = config.algo in BASELINES
+    if is_baseline:
         import_extra("stable_baselines3", "sb3", f"--algo {config.algo}")
+    else:
+        from nerf_rl.rl.agents.agent import find_agent
+
+        find_agent(config.algo)
     run = Path(config.out)
-    resuming = config.resume and config.algo == "ddpg" and _can_resume(run, config)
+    resuming = config.resume and not is_baseline and _can_resume(run, config)
 
     from nerf_rl.rl.environments.make import EnvSpec, check_scene, make_goal_task, make_vector_env
 
@@ -63,17 +68,15 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
             warn_of_workers_rendering(encoder, envs)
         sizes = (_size(envs.single_observation_space), _size(envs.single_action_space))
         record = RunRecord(config, spec, sizes, list(proprio_names if encoder else ()), on_evaluation)
-        if config.algo == "ddpg":
-            return _train(config, goal_task, envs, record)
-        return _train_baseline(config, spec, envs, record)
+        if is_baseline:
+            return _train_baseline(config, spec, envs, record)
+        return _train(config, goal_task, envs, record)
     finally:
         envs.close(terminate=True)
 
 
 def _train(config: TrainRLConfig, goal_task: "GoalTask | None", envs: Any, record: RunRecord) -> dict[str, Any]:
     """Alternate training, evaluation and checkpoints; rewrite the policy after each evaluation."""
-    from torch import nn
-
     from nerf_rl.rl.training.loop import Trainer
 
     trainer = Trainer(config, envs, Path(config.out), goal_task)
@@ -87,7 +90,7 @@ def _train(config: TrainRLConfig, goal_task: "GoalTask | None", envs: Any, recor
                 if last or trainer.env_steps // config.evaluation_every > before // config.evaluation_every:
                     result = trainer.evaluate(config.final_evaluation_episodes if last else config.evaluation_episodes)
                     progress.say(describe(result, trainer.seconds))
-                    record.keep(nn.Sequential(trainer.agent.norm, trainer.agent.actor), config.network, trainer)
+                    record.keep(trainer.agent.policy(), config.network, trainer)
                 if last or trainer.env_steps // config.checkpoint_every > before // config.checkpoint_every:
                     trainer.save()
         return record.finish(trainer, trainer.agent.updates, envs.processes)

@@ -19,6 +19,7 @@ from nerf_rl.rl.experience.n_step import Transition
 from nerf_rl.rl.experience.replay import Replay
 from nerf_rl.rl.experience.replay_chunks import load_rows, most_rows, save_rows
 from nerf_rl.rl.training.checkpoint import last_checkpoint, load_checkpoint, save_checkpoint
+from nerf_rl.rl.training.deadlock import DeadlockMonitor
 from nerf_rl.rl.training.loop import Trainer
 
 CAPACITY = 10
@@ -29,6 +30,7 @@ FACTS = {  # of a checkpoint that has nothing but memory
     "seconds": 0.0,
     "rng": np.random.default_rng(0).bit_generator.state,
     "evaluations": [],
+    "monitor": DeadlockMonitor().state_dict(),
 }
 
 

@@ -9,7 +9,7 @@ import torch
 
 from nerf_rl.rl.agents.ddpg import DDPG
 from nerf_rl.rl.config import LearnerConfig
-from nerf_rl.rl.training.checkpoint import last_checkpoint, load_agent_tensors, load_checkpoint
+from nerf_rl.rl.training.checkpoint import last_checkpoint, load_checkpoint
 from nerf_rl.viewer.pages.agent import Agent
 from nerf_rl.viewer.pages.agent_pictures import episode_slide, learning_charts
 
@@ -26,7 +26,7 @@ def test_action_values_are_those_of_the_trained_critic(agent: Agent, tiny_agent:
     folder = last_checkpoint(tiny_agent)
     assert folder is not None
     tensors, _ = load_checkpoint(folder)
-    load_agent_tensors(ddpg, {name.removeprefix("agent."): t for name, t in tensors.items() if "agent." in name})
+    ddpg.load_state_dict({name.removeprefix("agent."): t for name, t in tensors.items() if "agent." in name})
     with torch.no_grad():
         observed = ddpg.norm(torch.from_numpy(episode.rollout.observations))
         expected = ddpg.critic(observed, torch.from_numpy(episode.rollout.actions))

@@ -2,31 +2,37 @@
 
 import contextlib
 import copy
-from collections.abc import Iterable
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from numpy import ndarray
 from torch import Tensor, nn
 
+from nerf_rl.rl.agents.diagnosis import diagnose
 from nerf_rl.rl.agents.networks import Actor, Critic
 from nerf_rl.rl.agents.normalisation import RunningNorm
+from nerf_rl.rl.agents.state import flat_state, load_flat_state
 from nerf_rl.rl.config import LearnerConfig, NetworkConfig
 from nerf_rl.rl.experience.replay import Batch, Replay
 
 Metrics = dict[str, float]
+_DIAGNOSED = 256  # observations
 
 
 @torch.no_grad()
 def soft_update(network: nn.Module, target: nn.Module, tau: float) -> None:
     """Move the target's parameters by the share ``tau`` towards the network's; copy buffers (batch statistics)."""
-    torch._foreach_lerp_(list(target.parameters()), list(network.parameters()), tau)
+    for parameter, source in zip(target.parameters(), network.parameters(), strict=True):
+        parameter.lerp_(source, tau)
     for buffer, source in zip(target.buffers(), network.buffers(), strict=True):
         buffer.copy_(source)
 
 
 class DDPG:
-    """An agent: ``act``, and ``update`` from replay.
+    """One deterministic actor and one critic, each with a target (:class:`nerf_rl.rl.agents.agent.Agent`).
 
     Args:
         observation_size, action_size: O and A; actions are in [-1, 1].
@@ -43,18 +49,28 @@ class DDPG:
         learner: LearnerConfig,
         device: torch.device | str | None = None,
     ):
-        self.learner = learner
+        self.learner, self._network, self._sizes = learner, network, (observation_size, action_size)
         with contextlib.nullcontext() if device is None else torch.device(device):
             self.norm: nn.Module = RunningNorm(observation_size) if network.standardise else nn.Identity()
-            self.actor = Actor(observation_size, action_size, network)
-            self.critic = Critic(observation_size, action_size, network)
+        self._has_batch_statistics = network.normalisation == "batch"
+        self.updates = 0
+        self._make_networks(device)
+
+    def _make_networks(self, device: torch.device | str | None) -> None:
+        network, learner = self._network, self.learner
+        with contextlib.nullcontext() if device is None else torch.device(device):
+            self.actor = Actor(*self._sizes, network)
+            self.critic = Critic(*self._sizes, network)
         self.target_actor = copy.deepcopy(self.actor).requires_grad_(False).eval()
         self.target_critic = copy.deepcopy(self.critic).requires_grad_(False).eval()
         self.actor_optimiser = torch.optim.Adam(self.actor.parameters(), lr=learner.actor_rate, fused=True)
         self.critic_optimiser = torch.optim.Adam(self.critic.parameters(), lr=learner.critic_rate, fused=True)
         self.actor.eval()
         self.critic.eval()
-        self.updates = 0
+
+    def reset(self) -> None:
+        """Start anew with fresh networks (Nikishin et al. 2022); statistics of observations stay."""
+        self._make_networks(self.device)
 
     @property
     def device(self) -> torch.device:
@@ -70,6 +86,35 @@ class DDPG:
         """Take fresh observations into the statistics that standardise them."""
         if isinstance(self.norm, RunningNorm):
             self.norm.update_statistics(observation)
+
+    def diagnose(self, replay: Replay) -> Metrics:
+        """Return signs of trouble all over memory, see :func:`nerf_rl.rl.agents.diagnosis.diagnose`.
+
+        Nothing random is drawn: what is looked at must not change what is learnt.
+        """
+        rows = np.linspace(0, len(replay) - 1, _DIAGNOSED).astype(np.int64)
+        observation = torch.from_numpy(replay.observations(rows)).to(self.device)
+        return diagnose(self.actor, self.critic, self.norm(observation))
+
+    def policy(self) -> nn.Sequential:
+        """Return the network from raw observations [B, O] to actions [B, A]."""
+        return nn.Sequential(self.norm, self.actor)
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Return networks, targets and optimiser moments by flat names."""
+        return flat_state(self._networks(), self._optimisers())
+
+    def load_state_dict(self, tensors: Mapping[str, Tensor], source: Path = Path("the checkpoint")) -> None:
+        """Put back what :meth:`state_dict` returned.
+
+        Args:
+            tensors: of a checkpoint.
+            source: the checkpoint, to be named if it does not fit.
+
+        Raises:
+            MissingFileError: they are those of another agent.
+        """
+        load_flat_state(self._networks(), self._optimisers(), tensors, source)
 
     def update(self, replay: Replay, beta: float) -> Metrics:
         """Do one step of critic, actor and targets; return what happened.
@@ -99,12 +144,11 @@ class DDPG:
         with torch.no_grad():
             next_value = self.target_critic(batch.next_observation, self.target_actor(batch.next_observation))
             target = self.learner.reward_scale * batch.reward + batch.discount * next_value
-        self.critic.train()
-        value = self.critic(batch.observation, batch.action)
-        self.critic.eval()
+        with self._gathering(self.critic):
+            value = self.critic(batch.observation, batch.action)
         error = target - value
         loss = (batch.weight * error.square()).mean()
-        gradient = self._step(self.critic_optimiser, loss, self.critic.parameters())
+        gradient = self._step(self.critic_optimiser, loss)
         error = error.detach().abs()
         metrics = {
             "critic_loss": loss.item(),
@@ -116,15 +160,19 @@ class DDPG:
 
     def update_actor(self, observation: Float[Tensor, "B O"]) -> Metrics:
         """Climb Q(s, mu(s)); the critic's parameters are held still and receive no gradient."""
-        self.critic.requires_grad_(False)
-        self.actor.train()
-        pre_tanh = self.actor.pre_tanh(observation)
-        self.actor.eval()
+        with self._gathering(self.actor):
+            pre_tanh = self.actor.pre_tanh(observation)
         magnitude = pre_tanh.square().mean()
         loss = -self.critic(observation, torch.tanh(pre_tanh)).mean() + self.learner.pre_tanh_penalty * magnitude
-        gradient = self._step(self.actor_optimiser, loss, self.actor.parameters())
-        self.critic.requires_grad_(True)
+        gradient = self._step(self.actor_optimiser, loss)
         return {"actor_loss": loss.item(), "pre_tanh": magnitude.item() ** 0.5, "actor_gradient": gradient}
+
+    def _networks(self) -> dict[str, nn.Module]:
+        names = ("norm", "actor", "critic", "target_actor", "target_critic")
+        return {name: getattr(self, name) for name in names}
+
+    def _optimisers(self) -> dict[str, torch.optim.Adam]:
+        return {"actor_optimiser": self.actor_optimiser, "critic_optimiser": self.critic_optimiser}
 
     def _standardise(self, batch: Batch) -> Batch:
         """Return a batch on the networks' device, all but the places, with standardised observations."""
@@ -132,9 +180,23 @@ class DDPG:
         observation, next_observation = self.norm(batch.observation), self.norm(batch.next_observation)
         return batch._replace(observation=observation, next_observation=next_observation)
 
-    def _step(self, optimiser: torch.optim.Optimizer, loss: Tensor, parameters: Iterable[nn.Parameter]) -> float:
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
+    @contextlib.contextmanager
+    def _gathering(self, network: nn.Module) -> Iterator[None]:
+        """Let a network with batch normalisation use and gather the batch's own statistics; others have no such mode.
+
+        To set a mode walks through all modules, which takes as long as a layer of a small network.
+        """
+        if self._has_batch_statistics:
+            network.train()
+        yield
+        if self._has_batch_statistics:
+            network.eval()
+
+    def _step(self, optimiser: torch.optim.Optimizer, loss: Tensor) -> float:
+        """Take one step down the loss with one network, no other receiving a gradient; return its length, unclipped."""
+        parameters = optimiser.param_groups[0]["params"]
+        for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
+            parameter.grad = gradient
         norm = nn.utils.clip_grad_norm_(parameters, self.learner.max_grad_norm, foreach=True)
         optimiser.step()
         return norm.item()

@@ -95,23 +95,29 @@ class Replay:
     def __len__(self) -> int:
         return len(self._storage)
 
-    def add(self, transitions: Sequence[Transition]) -> None:
-        """Store transitions with the greatest priority so far, in place of the oldest ones if memory is full."""
+    def add(self, transitions: Sequence[Transition], env: int | None = None) -> None:
+        """Store transitions with the greatest priority so far, in place of the oldest ones if memory is full.
+
+        Args:
+            transitions: of an episode that is running.
+            env: in which environment; None for those that are no part of an episode as it happened.
+        """
         if transitions:
+            before = self.stored
             rows = [(t.observation, t.action, [t.reward, t.discount], t.next_observation) for t in transitions]
             self._extend(torch.from_numpy(np.stack([np.concatenate(row) for row in rows]).astype(np.float32)))
-
-    @property
-    def oldest(self) -> int:
-        """How many rows were stored before the oldest that is still there."""
-        return self.stored - len(self)
-
             if env is not None:
                 self._good.add(env, range(before, self.stored))
 
     def end_episode(self, env: int, score: float) -> None:
         """Tell that an environment's episode is over, all its transitions being stored, and its return."""
         self._good.end(env, score, self.oldest)
+
+    @property
+    def oldest(self) -> int:
+        """How many rows were stored before the oldest that is still there."""
+        return self.stored - len(self)
+
     def rows(self, first: int, end: int) -> Float[Tensor, "N W"]:
         """Return the rows before which ``first``, ``first`` + 1, ... and ``end`` - 1 others were stored."""
         return self._gather_rows(torch.arange(first, end) % self._capacity)
@@ -119,7 +125,8 @@ class Replay:
     def sample(self, beta: float) -> Batch:
         """Draw a batch with P(i) = p_i^alpha / sum_k p_k^alpha and weights w_i = (N P(i))^-beta / max_k w_k.
 
-        The greatest weight is that of the whole memory, which is how TorchRL's segment trees give it.
+        The greatest weight is that of the whole memory, which is how TorchRL's segment trees give it. The share of the
+        batch that is drawn from good episodes, uniformly, has the mean weight of the others.
         """
         if self.prioritised:
             self._sampler.beta = beta
@@ -131,7 +138,6 @@ class Replay:
             index = torch.cat([index, self._good.draw(good, self.generator) % self._capacity])
             weight = torch.cat([weight, weight.mean().expand(good)])
         observation, action, reward, discount, next_observation = self._gather(index)
-        weight = information["priority_weight"].float() if self.prioritised else torch.ones(self._batch_size)
         return Batch(index, weight, observation, action, reward.squeeze(-1), discount.squeeze(-1), next_observation)
 
     def sample_observations(self) -> Float[Tensor, "B O"]:
@@ -147,6 +153,16 @@ class Replay:
         """Set the priorities of drawn transitions: |error| + epsilon."""
         if self.prioritised:
             self._sampler.update_priority(index, error.abs())
+
+    def priority_spread(self) -> float:
+        """Return the effective share of memory that is drawn: (sum p)^2 / (N sum p^2) with p as they are drawn.
+
+        1 where all are drawn alike; near 0 where a few transitions crowd out all others.
+        """
+        if not self.prioritised or not len(self):
+            return 1.0
+        p = torch.as_tensor(self._sampler.state_dict()["_sum_tree"][torch.arange(len(self))]).double()
+        return float(p.sum().square() / (len(p) * p.square().sum()))
 
     def state(self) -> dict[str, Tensor]:
         """Return all that a resumed run needs: the rows and what :meth:`bookkeeping` returns."""
@@ -177,6 +193,7 @@ class Replay:
         like["generator"] = self.generator.get_state()
         if self.prioritised:
             like |= {"powered_priority": torch.zeros(rows), "max_priority": torch.zeros(())}
+        like |= {name: tensor.detach() for name, tensor in state.items() if name.startswith("good.")}
         require_tensors(state, like, source)
         stored = int(state["stored"])
         least = float(state["powered_priority"].min()) if self.prioritised and rows else 1.0
@@ -184,6 +201,7 @@ class Replay:
             if rows == 0 or rows != min(stored, self._capacity) or least <= 0:
                 raise ValueError("its rows, their number or their priorities are out of range")
             self.generator.set_state(state["generator"])
+            self._good.load_state_dict(strip_prefix(state, "good"), stored)
         except (ValueError, RuntimeError) as error:
             remedy = "begin the run anew with --overwrite true, or use another --out"
             reason = f"its replay memory is damaged ({error})"
@@ -193,7 +211,6 @@ class Replay:
         self._buffer.writer.load_state_dict({"_cursor": stored % self._capacity})
         if self.prioritised:
             sampler = self._sampler.state_dict()
-        like |= {name: tensor.detach() for name, tensor in state.items() if name.startswith("good.")}
             indices = torch.arange(len(self))
             for tree in ("_sum_tree", "_min_tree"):
                 sampler[tree][indices] = state["powered_priority"]
@@ -201,7 +218,6 @@ class Replay:
             self._sampler.load_state_dict(sampler)
 
     def close(self) -> None:
-            self._good.load_state_dict(strip_prefix(state, "good"), stored)
         """Remove the file."""
         self._rows = None
         shutil.rmtree(self._folder, ignore_errors=True)

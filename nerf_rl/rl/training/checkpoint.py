@@ -10,21 +10,18 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from nerf_rl.errors import MissingFileError
 from nerf_rl.files.atomic import rename_durably
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.structure import listing, mapping, number, one_of, whole
-from nerf_rl.files.tensor_files import read_tensors, require_tensors, write_tensors
-from nerf_rl.rl.agents.ddpg import DDPG
+from nerf_rl.files.tensor_files import read_tensors, write_tensors
+from nerf_rl.rl.training.deadlock import STRUCTURE as MONITOR
 from nerf_rl.rl.training.evaluation_results import EVALUATIONS
 
-_MODULES = ("norm", "actor", "critic", "target_actor", "target_critic")
 _TENSORS, _FACTS = "state.safetensors", "state.json"
 _REMEDY = "begin the run anew with --overwrite true, or use another --out"
-_UNNAMED = Path("the checkpoint")
 _WORD = whole(0, 2**128 - 1)
 _STRUCTURE = mapping(
     {
@@ -40,6 +37,7 @@ _STRUCTURE = mapping(
                 "uinteger": whole(0, 2**32 - 1),
             }
         ),
+        "monitor": MONITOR,
         "evaluations": EVALUATIONS,
     },
     others=True,
@@ -90,54 +88,3 @@ def load_checkpoint(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     except (OSError, ValueError) as error:
         raise MissingFileError("a checkpoint", folder, f"its {_FACTS} is damaged ({error})", _REMEDY) from error
     return read_tensors(folder / _TENSORS), facts
-
-
-def agent_tensors(agent: DDPG) -> dict[str, Tensor]:
-    """Return an agent's networks, targets and optimiser moments by flat names."""
-    tensors: dict[str, Tensor] = {}
-    for part in _MODULES:
-        tensors |= {f"{part}.{name}": tensor for name, tensor in getattr(agent, part).state_dict().items()}
-    for part in ("actor_optimiser", "critic_optimiser"):
-        for index, moments in getattr(agent, part).state_dict()["state"].items():
-            tensors |= {f"{part}.{index}.{name}": torch.as_tensor(value) for name, value in moments.items()}
-    return tensors
-
-
-def load_agent_tensors(agent: DDPG, tensors: Mapping[str, Tensor], source: Path = _UNNAMED) -> None:
-    """Put back what :func:`agent_tensors` returned.
-
-    Args:
-        agent: as it is at the beginning of a run.
-        tensors: of a checkpoint.
-        source: the checkpoint, to be named if it does not fit.
-
-    Raises:
-        MissingFileError: they are those of another agent.
-    """
-    require_tensors(tensors, _expected_tensors(agent, tensors), source)
-    for part in _MODULES:
-        getattr(agent, part).load_state_dict(strip_prefix(tensors, part))
-    for part in ("actor_optimiser", "critic_optimiser"):
-        optimiser = getattr(agent, part)
-        state: dict[int, dict[str, Tensor]] = {}
-        for key, value in strip_prefix(tensors, part).items():
-            index, name = key.split(".", 1)
-            state.setdefault(int(index), {})[name] = value
-        optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
-
-
-def _expected_tensors(agent: DDPG, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Return tensors like those of an agent; moments of a parameter that was never updated may be absent."""
-    expected = agent_tensors(agent)
-    for part in ("actor_optimiser", "critic_optimiser"):
-        parameters = [p for group in getattr(agent, part).param_groups for p in group["params"]]
-        for index, parameter in enumerate(parameters):
-            if any(name.startswith(f"{part}.{index}.") for name in tensors):
-                moments = {"step": torch.zeros(()), "exp_avg": parameter, "exp_avg_sq": parameter}
-                expected |= {f"{part}.{index}.{name}": like.detach() for name, like in moments.items()}
-    return expected
-
-
-def strip_prefix(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    """Return the tensors whose names start with ``prefix.``, without it."""
-    return {name.removeprefix(f"{prefix}."): t for name, t in tensors.items() if name.startswith(f"{prefix}.")}

@@ -31,6 +31,11 @@ COLUMNS = (
     "actor_loss",
     "pre_tanh",
     "actor_gradient",
+    "saturated",
+    "dead_units",
+    "action_gradient",
+    "priority_spread",
+    "stuck_for",
     "updates_per_second",
 )
 
@@ -63,13 +68,16 @@ class MetricsLog:
             self._gathered.setdefault(name, []).append(value)
 
     def write(self, **now: float | int) -> None:
-        """Append a row: the means of what was gathered since the last one, and the values of ``now``."""
+        """Append a row: the means of what was gathered since the last one, and the values of ``now``.
+
+        What an algorithm of the user's own gathers beyond the columns of the file goes to the loggers alone.
+        """
         row: dict[str, float | int] = {n: float(np.mean(values)) for n, values in self._gathered.items()}
         row |= now
         self._gathered = {}
         with open(self._path, "a", newline="", encoding="utf-8") as file:
             formatted = {name: f"{value:.6g}" if isinstance(value, float) else value for name, value in row.items()}
-            csv.DictWriter(file, COLUMNS, lineterminator="\n").writerow(formatted)
+            csv.DictWriter(file, COLUMNS, extrasaction="ignore", lineterminator="\n").writerow(formatted)
         self._pass_on("train", row)
 
     def write_evaluation(self, result: Mapping[str, Any]) -> None:

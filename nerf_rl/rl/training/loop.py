@@ -11,10 +11,11 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from nerf_rl.errors import UserError
+from nerf_rl.files.tensor_files import require_tensors, strip_prefix
 from nerf_rl.loggers import make_loggers
 from nerf_rl.machine.devices import resolve_device
 from nerf_rl.progress import Progress
-from nerf_rl.rl.agents.ddpg import DDPG
+from nerf_rl.rl.agents.agent import make_agent
 from nerf_rl.rl.config import TrainRLConfig
 from nerf_rl.rl.environments.goals import GoalTask
 from nerf_rl.rl.environments.make import reset_some
@@ -23,15 +24,9 @@ from nerf_rl.rl.experience.n_step import NStep
 from nerf_rl.rl.experience.noise import HeldActions, Noise, linear_schedule
 from nerf_rl.rl.experience.replay import Replay
 from nerf_rl.rl.experience.replay_chunks import count_rows, load_rows, most_rows, save_rows
-from nerf_rl.rl.training.checkpoint import (
-    agent_tensors,
-    last_checkpoint,
-    load_agent_tensors,
-    load_checkpoint,
-    save_checkpoint,
-    strip_prefix,
-)
+from nerf_rl.rl.training.checkpoint import last_checkpoint, load_checkpoint, save_checkpoint
 from nerf_rl.rl.training.curves import MetricsLog
+from nerf_rl.rl.training.deadlock import DeadlockMonitor
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes, training_seed
 
 _STEP_TIMEOUT = 300.0  # [s] a worker that is silent for so long has hung
@@ -64,9 +59,7 @@ class Trainer:
         count, learner = envs.num_envs, config.learner
         self.observation_size = int(np.prod(envs.single_observation_space.shape or ()))
         self.action_size = int(np.prod(envs.single_action_space.shape or ()))
-        self.agent = DDPG(
-            self.observation_size, self.action_size, config.network, learner, resolve_device(config.device)
-        )
+        self.agent = make_agent(config, self.observation_size, self.action_size, resolve_device(config.device))
         self._checkpoint = last_checkpoint(run) if config.resume else None
         sizes = (self.observation_size, self.action_size, learner.batch_size)
         self.replay = Replay(config.replay, *sizes, run / "replay", config.seed, self._checkpoint_rows(), count)
@@ -80,6 +73,7 @@ class Trainer:
         self.env_steps, self.episodes, self._credit = 0, 0, 0.0
         self._seconds_before, self._start = 0.0, time.monotonic()
         self.evaluations: list[dict[str, Any]] = []
+        self._monitor = DeadlockMonitor()
         if self._checkpoint is not None:
             self._load(self._checkpoint)
         self.metrics = MetricsLog(run / "metrics.csv", self.env_steps, make_loggers(config.loggers, run))
@@ -110,6 +104,7 @@ class Trainer:
             if self.env_steps - last_log >= self._config.log_every or self.env_steps >= until or self.finished:
                 rate = (self.agent.updates - last_updates) / max(self.seconds - last_seconds, 1e-9)
                 self._log(rate)
+                self._react(progress)
                 last_log, last_updates, last_seconds = self.env_steps, self.agent.updates, self.seconds
         for env, n_step in enumerate(self._n_steps):
             self.replay.add(n_step.cut(), env)
@@ -128,8 +123,9 @@ class Trainer:
 
     def save(self) -> None:
         """Write a checkpoint; call it only between two calls of :meth:`train`."""
-        tensors = {f"agent.{name}": tensor for name, tensor in agent_tensors(self.agent).items()}
+        tensors = {f"agent.{name}": tensor for name, tensor in self.agent.state_dict().items()}
         tensors |= {f"replay.{name}": tensor for name, tensor in self.replay.bookkeeping().items()}
+        tensors["torch_rng"] = torch.get_rng_state()
         facts = {
             "env_steps": self.env_steps,
             "updates": self.agent.updates,
@@ -139,6 +135,7 @@ class Trainer:
             "seconds": self.seconds,
             "rng": self._rng.bit_generator.state,
             "evaluations": self.evaluations,
+            "monitor": self._monitor.state_dict(),
         }
         before = self._checkpoint
         self._checkpoint = save_checkpoint(
@@ -149,7 +146,10 @@ class Trainer:
         tensors, facts = load_checkpoint(checkpoint)
         if len(facts["episode_index"]) != self._envs.num_envs:
             raise UserError(f"{checkpoint} is of a run with {len(facts['episode_index'])} --envs")
-        load_agent_tensors(self.agent, strip_prefix(tensors, "agent"), checkpoint)
+        self.agent.load_state_dict(strip_prefix(tensors, "agent"), checkpoint)
+        random_state = {name: tensor for name, tensor in tensors.items() if name == "torch_rng"}
+        require_tensors(random_state, {"torch_rng": torch.get_rng_state()}, checkpoint)
+        torch.set_rng_state(random_state["torch_rng"])
         replay = strip_prefix(tensors, "replay")
         if "stored" not in replay or replay["stored"].numel() != 1 or int(replay["stored"]) < 1:
             raise UserError(
@@ -162,6 +162,7 @@ class Trainer:
         self._credit, self._episode_index = facts["credit"], facts["episode_index"]
         self._seconds_before, self.evaluations = facts["seconds"], facts["evaluations"]
         self._rng.bit_generator.state = facts["rng"]
+        self._monitor.load_state_dict(facts["monitor"])
 
     def _checkpoint_rows(self) -> int:
         """Return about how many rows of replay memory checkpoints will hold, beyond those that they hold already."""
@@ -219,6 +220,7 @@ class Trainer:
         for env in np.flatnonzero(done).tolist():
             self.episodes += 1
             self.replay.end_episode(env, self._returns[env])
+            self._monitor.end_episode(self.env_steps, float(self._returns[env]), bool(self._success[env]))
             figures = {"episode_return": self._returns[env], "episode_length": float(self._length[env])}
             self.metrics.gather(figures | ({"episode_success": float(self._success[env])} if "success" in info else {}))
         return self._restart(done)
@@ -249,12 +251,29 @@ class Trainer:
     def _beta(self) -> float:
         return linear_schedule(self._config.replay.beta, 1.0, self._config.env_steps, self.env_steps)
 
+    def _react(self, progress: Progress) -> None:
+        """Start the networks anew if nothing has improved for as long as ``learner.reset_after``; keep the memory."""
+        patience, stuck = self._config.learner.reset_after, self._monitor.stuck_for(self.env_steps)
+        if not patience or stuck < patience or not self.agent.updates:
+            return
+        progress.say(
+            f"{self.env_steps} env steps: neither a success nor a better return for {stuck} of them; "
+            "the networks start anew from the memory so far"
+        )
+        self.agent.reset()
+        self._credit += self._config.learner.reset_updates
+        self._monitor.forgive(self.env_steps)
+
     def _log(self, updates_per_second: float) -> None:
+        if self.agent.updates:
+            self.metrics.gather(self.agent.diagnose(self.replay))
         self.metrics.write(
             env_steps=self.env_steps,
             seconds=self.seconds,
             episodes=self.episodes,
             noise=self._noise.scale(self.env_steps),
             beta=self._beta(),
+            priority_spread=self.replay.priority_spread(),
+            stuck_for=self._monitor.stuck_for(self.env_steps),
             updates_per_second=updates_per_second,
         )

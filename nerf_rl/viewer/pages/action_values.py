@@ -7,12 +7,12 @@ from jaxtyping import Float
 from numpy import ndarray
 from torch import nn
 
-from nerf_rl.files.tensor_files import filled
+from nerf_rl.files.tensor_files import filled, strip_prefix
 from nerf_rl.rl.agents.networks import Critic
 from nerf_rl.rl.agents.normalisation import RunningNorm
 from nerf_rl.rl.agents.policy import Policy
 from nerf_rl.rl.config import NetworkConfig
-from nerf_rl.rl.training.checkpoint import last_checkpoint, load_checkpoint, strip_prefix
+from nerf_rl.rl.training.checkpoint import last_checkpoint, load_checkpoint
 
 
 class ActionValues:
