@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 
 from nerf_rl.arguments.limits import require_most, require_seed
 from nerf_rl.cameras.rig_config import RigConfig
-from nerf_rl.errors import UnknownNameError, UserError
+from nerf_rl.errors import UserError
+from nerf_rl.machine.backends import check_backend
 from nerf_rl.rendering.class_config import ClassConfig
 
 MOST_PIXELS, MOST_SHARDS = 4096, 10**6
-BACKENDS = ("loky", "ray")
 _HOW_NOT_WHAT = ("out", "workers", "backend", "worker_timeout", "shard", "estimate", "resume", "overwrite")
 
 
@@ -106,10 +106,7 @@ class GenDatasetConfig:
         require_most(self, size=MOST_PIXELS, workers=1024, episode_steps=10**6, worker_timeout=10**7)
         if -(-self.episodes // self.episodes_per_shard) > MOST_SHARDS:
             raise UserError(f"a dataset has at most {MOST_SHARDS} shards; use a larger --episodes_per_shard")
-        if self.backend not in BACKENDS:
-            raise UnknownNameError("backend", self.backend, BACKENDS)
-        if self.backend == "ray" and self.workers < 2:
-            raise UserError("--backend ray needs at least 2 --workers; use --backend loky for one")
+        check_backend(self.backend, self.workers)
         if self.worker_timeout <= 0:
             raise UserError(f"--worker_timeout must be positive, got {self.worker_timeout}")
         self.share()

@@ -7,6 +7,8 @@ import threading
 import time
 from collections.abc import Iterator
 
+from nerf_rl.machine.gl import use_one_software_thread
+
 
 @contextlib.contextmanager
 def ignore_sigint() -> Iterator[None]:
@@ -23,6 +25,13 @@ def ignore_sigint() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def start_worker() -> None:
+    """Prepare a process of this machine: it uses one core, leaves Ctrl-C to its parent, and ends with it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    use_one_software_thread()
+    end_with_parent()
 
 
 def end_with_parent() -> None:

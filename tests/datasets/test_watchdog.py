@@ -24,7 +24,7 @@ print("got on")
 """
 WORKER = """
 import time
-from nerf_rl.datasets.generation.watchdog import start_worker
+from nerf_rl.machine.processes import start_worker
 start_worker()
 print("ready", flush=True)
 time.sleep(60)

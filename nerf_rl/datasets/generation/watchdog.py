@@ -16,18 +16,9 @@ from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 
 from nerf_rl.datasets.storage.shards import partial_files
-from nerf_rl.machine.gl import use_one_software_thread
-from nerf_rl.machine.processes import end_with_parent
 
 _SECONDS_BETWEEN_BEATS = 1.0
 _PATIENCE = 1.25  # the command waits longer than the process's own alarm, which shows where it hung
-
-
-def start_worker() -> None:
-    """Prepare a process of this machine: it uses one core, leaves Ctrl-C to its parent, and ends with it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    use_one_software_thread()
-    end_with_parent()
 
 
 @contextlib.contextmanager

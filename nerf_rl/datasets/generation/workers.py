@@ -11,11 +11,11 @@ from joblib import Parallel, delayed
 from nerf_rl.datasets.config import GenDatasetConfig
 from nerf_rl.datasets.generation.shard_episodes import RenderedShard, render_shard
 from nerf_rl.datasets.generation.watchdog import alarm, lookout
-from nerf_rl.datasets.generation.worker_pools import open_backend
 from nerf_rl.datasets.storage.plan import Plan, plan_of
 from nerf_rl.datasets.storage.shards import partial_files, partial_path, shard_path
 from nerf_rl.errors import FailureError
 from nerf_rl.machine.gl import use_one_software_thread
+from nerf_rl.machine.worker_pools import open_backend
 
 _MOST_DEATHS = 3  # in a row, without a finished shard in between
 

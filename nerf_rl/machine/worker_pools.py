@@ -1,4 +1,4 @@
-"""The processes that joblib hands shards to: on this machine by loky, on a cluster by Ray.
+"""The processes that joblib hands work to: on this machine by loky, on a cluster by Ray.
 
 Both are processes even if there is one worker only, because a process can be ended and replaced when it hangs, and this
 one cannot. OpenGL contexts do not survive a fork; loky and Ray start processes afresh.
@@ -11,10 +11,9 @@ from joblib._parallel_backends import LokyBackend, ParallelBackendBase
 from joblib.executor import get_memmapping_executor
 from joblib.externals.loky.process_executor import BrokenProcessPool
 
-from nerf_rl.datasets.generation.watchdog import start_worker
 from nerf_rl.errors import UserError
 from nerf_rl.machine.extras import import_extra
-from nerf_rl.machine.processes import ignore_sigint
+from nerf_rl.machine.processes import ignore_sigint, start_worker
 
 
 class LocalProcesses(LokyBackend):
