@@ -7,8 +7,10 @@ from typing import Any
 from nerf_rl.arguments.limits import require_most, require_seed
 from nerf_rl.errors import UnknownNameError, UserError
 from nerf_rl.loggers import TENSORBOARD, check_loggers
+from nerf_rl.machine.backends import check_backend
 from nerf_rl.machine.devices import check_device_name
 from nerf_rl.rl.baselines.config import PPOConfig
+from nerf_rl.rl.sweeps.seed_list import parse_seeds
 
 NO_ENCODER = "none"
 BASELINES = ("ppo", "sb3-ddpg")
@@ -236,6 +238,12 @@ class TrainRLConfig:
     """ppo only"""
     seed: int = 0
     """seed of everything random"""
+    seeds: str = ""
+    """a run for each of several seeds instead, such as 0..19 or 0,3,5: in seed-N of out, with a summary of all"""
+    workers: int | None = None
+    """with seeds: how many are trained at a time; by default as many as there are cores, or threads of them each"""
+    backend: str = "loky"
+    """with seeds: where: loky: on this machine; ray: on a Ray cluster (extra 'ray'; RAY_ADDRESS names it)"""
     threads: int = 1
     """threads of the learner; the environments have one each"""
     device: str = "cpu"
@@ -260,6 +268,7 @@ class TrainRLConfig:
         check_device_name(self.device)
         require_most(self, envs=1024, threads=1024, env_steps=10**12, episode_steps=10**9)
         require_seed(self.seed)
+        self._check_seeds()
         if self.warmup_steps >= self.env_steps:
             raise UserError(
                 f"--warmup_steps {self.warmup_steps} leaves nothing of --env_steps {self.env_steps} to learn in"
@@ -273,9 +282,17 @@ class TrainRLConfig:
 
     def content(self) -> dict[str, Any]:
         """Return the keys that must not change when a run is resumed."""
-        free = "out resume overwrite env_steps episodes threads device checkpoint_every evaluation_every"
-        free += " evaluation_episodes final_evaluation_episodes evaluation_to_end log_every loggers"
+        free = "out resume overwrite seeds workers backend env_steps episodes threads device checkpoint_every"
+        free += " evaluation_every evaluation_episodes final_evaluation_episodes evaluation_to_end log_every loggers"
         return {key: value for key, value in dataclasses.asdict(self).items() if key not in free.split()}
+
+    def _check_seeds(self) -> None:
+        if self.workers is not None and self.workers < 1:
+            raise UserError(f"--workers must be at least 1, got {self.workers}")
+        require_most(self, workers=1024)
+        check_backend(self.backend, self.workers)
+        if self.seeds and parse_seeds(self.seeds) and self.seed:
+            raise UserError(f"--seeds {self.seeds} leaves no room for --seed {self.seed}; give one of them")
 
 
 @dataclass

@@ -13,6 +13,7 @@ from nerf_rl.machine.extras import import_extra
 from nerf_rl.progress import Progress
 from nerf_rl.rl.config import BASELINES, NO_ENCODER, TrainRLConfig
 from nerf_rl.rl.environments.encoder_match import check_encoder_scene, warn_of_workers_rendering
+from nerf_rl.rl.sweeps.sweep import require_one_run, train_seeds
 from nerf_rl.rl.training.evaluation_results import describe_episodes
 from nerf_rl.rl.training.run_files import OnEvaluation, RunRecord
 
@@ -26,13 +27,16 @@ if TYPE_CHECKING:
 def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -> dict[str, Any]:
     """Train an agent into the run folder ``config.out``; return its summary.
 
+    With ``config.seeds`` train one for each seed, in run folders inside it; return the summary of all.
+
     Args:
         config: of the run.
-        on_evaluation: called with each evaluation; what it raises ends the training.
+        on_evaluation: called with each evaluation; what it raises ends the training. Not with several seeds.
 
     Raises:
         UserError: an unknown scene, an encoder that is missing or of another scene, an existing run, a full disk, an
             extra that is not installed, a device that is not there.
+        FailureError: some of several seeds failed.
     """
     encoder = None if config.encoder == NO_ENCODER else str(Path(config.encoder).resolve())
     if encoder is not None:
@@ -47,7 +51,9 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
 
         find_agent(config.algo)
     run = Path(config.out)
-    resuming = config.resume and not is_baseline and _can_resume(run, config)
+    if config.resume and not config.seeds:
+        require_one_run(run)
+    resuming = config.resume and not config.seeds and not is_baseline and _can_resume(run, config)
 
     from nerf_rl.rl.environments.make import EnvSpec, check_scene, make_goal_task, make_vector_env
 
@@ -58,6 +64,8 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
     goal_task = make_goal_task(spec) if config.replay.hindsight else None
     if config.replay.hindsight and goal_task is None:
         raise UserError(f"--replay.hindsight needs a scene with a goal in its observation; {config.scene} has none")
+    if config.seeds:
+        return train_seeds(config)
     prepare_output(run, config.overwrite, config.resume, resuming, "train-rl")
     write_provenance(run, "train-rl", config)
     print(f"train-rl writes to {run}", flush=True)

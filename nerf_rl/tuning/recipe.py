@@ -12,8 +12,13 @@ from nerf_rl.files.outputs import plain
 from nerf_rl.rl.config import TrainRLConfig
 from nerf_rl.tuning.config import Range, TuneConfig
 
-_OURS = ("out", "resume", "overwrite")
-_ALONE: dict[str, Any] = {"envs": 1, "threads": 1, "loggers": []}  # a worker for each core; the study keeps results
+_OURS = ("out", "resume", "overwrite", "seeds")
+_ALONE: dict[str, Any] = {
+    "envs": 1,
+    "threads": 1,
+    "loggers": [],
+    "seeds": "",
+}  # a worker for each core; the study keeps results
 
 
 def trial_config(config: TuneConfig, params: Mapping[str, Any], out: str, seed: int = 0) -> TrainRLConfig:

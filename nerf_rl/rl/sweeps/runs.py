@@ -1,0 +1,98 @@
+"""What the runs of a sweep left in their folders."""
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from nerf_rl.arguments.stored_keys import with_defaults
+from nerf_rl.files.json_files import read_json
+from nerf_rl.files.outputs import PROVENANCE, SUMMARY
+from nerf_rl.files.structure import mapping, number, whole
+from nerf_rl.rl.config import TrainRLConfig
+from nerf_rl.rl.training.evaluation_results import EVALUATIONS, SUCCESS
+
+GOOD = 0.95
+"""success rate from which on a run counts as one that can do its task"""
+_SUMMARY = mapping(
+    {
+        **dict.fromkeys(("env_steps", "episodes", "updates"), whole()),
+        "seconds": number(0.0),
+        "evaluations": EVALUATIONS,
+    },
+    others=True,
+)
+
+
+def run_folder(out: Path, seed: int) -> Path:
+    """Return the run folder of a seed."""
+    return out / f"seed-{seed}"
+
+
+def is_finished(run: Path, config: TrainRLConfig) -> bool:
+    """Tell whether a run has had its environment steps, or its episodes; false where its summary is unreadable."""
+    try:
+        summary = read_json(run / SUMMARY)
+        _SUMMARY(summary, "")
+    except (OSError, ValueError):
+        return False
+    return summary["env_steps"] >= config.env_steps or 0 < config.episodes <= summary["episodes"]
+
+
+def read_run(run: Path) -> dict[str, Any]:
+    """Return what a sweep's summary tells of a finished run.
+
+    Each evaluation has the environment steps at which it was ``due`` beside those at which it came, which may be a few
+    more; ``good`` tells when the first one with a success rate of 95 % or more came, None if there was none.
+
+    Raises:
+        OSError, ValueError: a file is missing or damaged.
+    """
+    summary, keys = read_json(run / SUMMARY), _keys(run)
+    _SUMMARY(summary, "")
+    evaluations = [{"due": _due(evaluation["env_steps"], keys), **evaluation} for evaluation in summary["evaluations"]]
+    good = next((e["env_steps"] for e in evaluations if e.get(SUCCESS, 0.0) >= GOOD), None)
+    return {
+        "seed": read_json(run / PROVENANCE)["seed"],
+        "run": run.name,
+        **{name: summary[name] for name in ("env_steps", "episodes", "updates", "seconds")},
+        "good": None if good is None else {"env_steps": good, "seconds": _seconds_at(run, good)},
+        "evaluations": evaluations,
+    }
+
+
+def steps_so_far(run: Path) -> int:
+    """Return the environment steps of a run that goes on, as far as ``metrics.csv`` tells."""
+    steps = [steps for steps, _ in _times(run)]
+    return max(steps, default=0)
+
+
+def _keys(run: Path) -> Mapping[str, Any]:
+    """Return the keys of a run, with defaults for those that it did not have yet."""
+    return with_defaults(yaml.safe_load((run / "config.yaml").read_text(encoding="utf-8")), TrainRLConfig)
+
+
+def _due(env_steps: int, keys: Mapping[str, Any]) -> int:
+    """Return the environment steps at which an evaluation was due: all environments step at once, so it comes late."""
+    for due in (keys["env_steps"], env_steps // keys["evaluation_every"] * keys["evaluation_every"]):
+        if 0 <= env_steps - due < keys["envs"] * keys["action_repeat"]:
+            return due
+    return env_steps
+
+
+def _seconds_at(run: Path, env_steps: int) -> float | None:
+    """Return the time that a run had taken when it came to an evaluation [s], if ``metrics.csv`` tells."""
+    before = [seconds for steps, seconds in _times(run) if steps <= env_steps]
+    return before[-1] if before else None
+
+
+def _times(run: Path) -> list[tuple[int, float]]:
+    """Return environment steps and seconds of each whole row of ``metrics.csv``."""
+    try:
+        with open(run / "metrics.csv", newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(line for line in file if line.endswith("\n")))
+        return [(int(row["env_steps"]), float(row["seconds"])) for row in rows]
+    except (OSError, ValueError, KeyError, TypeError, csv.Error):
+        return []

@@ -1,0 +1,45 @@
+"""All finished runs of a sweep in one ``summary.json``: each of them, and what they are together."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from nerf_rl.metrics import wilson_interval
+from nerf_rl.rl.sweeps.aggregates import describe_scores
+from nerf_rl.rl.sweeps.runs import GOOD
+from nerf_rl.rl.training.evaluation_results import SUCCESS, tells_success
+
+RETURN = "mean_return"
+
+
+def summarise(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the summary of runs as :func:`~nerf_rl.rl.sweeps.runs.read_run` returns them.
+
+    Scores are success rates or, where the environment does not tell of success, mean returns.
+    """
+    runs = sorted(runs, key=lambda run: run["seed"])
+    told = bool(runs) and all(tells_success(run["evaluations"]) for run in runs)
+    score = SUCCESS if told else RETURN
+    last = [run["evaluations"][-1][score] for run in runs if run["evaluations"]]
+    return {
+        "score": score,
+        "final": describe_scores(last) if last else None,
+        "good_seeds": _good(last) if told else None,
+        "curve": [{"env_steps": due, **describe_scores(scores)} for due, scores in _by_step(runs, score)],
+        "runs": runs,
+    }
+
+
+def _by_step(runs: Sequence[dict[str, Any]], score: str) -> list[tuple[int, list[float]]]:
+    """Return the scores of all runs at each number of environment steps at which some were evaluated."""
+    scores: dict[int, list[float]] = {}
+    for run in runs:
+        for due, evaluation in {evaluation["due"]: evaluation for evaluation in run["evaluations"]}.items():
+            scores.setdefault(due, []).append(evaluation[score])
+    return sorted(scores.items())
+
+
+def _good(last: Sequence[float]) -> dict[str, Any]:
+    """Return how many seeds end with a success rate of 95 % or more; Wilson's interval holds for 0 and for all, too."""
+    count = sum(rate >= GOOD for rate in last)
+    low, high = wilson_interval(count, len(last))
+    return {"at_least": GOOD, "count": count, "seeds": len(last), "share": count / len(last), "low": low, "high": high}

@@ -1,0 +1,132 @@
+"""``nerf-rl train-rl --seeds``: a run for each seed, and what they are together."""
+
+import contextlib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from nerf_rl.arguments.stored_keys import require_same_keys
+from nerf_rl.errors import FailureError, UserError
+from nerf_rl.files.json_files import write_json
+from nerf_rl.files.outputs import SUMMARY, prepare_output, write_provenance
+from nerf_rl.rl.config import TrainRLConfig
+from nerf_rl.rl.sweeps.figure import draw_sweep
+from nerf_rl.rl.sweeps.progress import SweepProgress
+from nerf_rl.rl.sweeps.runs import is_finished, read_run, run_folder
+from nerf_rl.rl.sweeps.seed_list import parse_seeds
+from nerf_rl.rl.sweeps.summary import summarise
+from nerf_rl.rl.sweeps.table import aligned, describe_summary, seeds_table
+from nerf_rl.rl.sweeps.workers import log_of, train_seeds_apart
+from nerf_rl.rl.training.evaluation_results import describe_episodes
+
+FIGURE = "learning_curves.png"
+
+
+def train_seeds(config: TrainRLConfig) -> dict[str, Any]:
+    """Train a run for each of ``config.seeds`` into the folder ``config.out``; return the summary.
+
+    The summary and the figure are written anew after each seed that is finished. One that fails stops no other.
+
+    Raises:
+        UserError: the folder is in use, or holds a sweep with other keys or with seeds that are not asked for.
+        FailureError: some seeds failed; it names them.
+    """
+    out, seeds = Path(config.out), parse_seeds(config.seeds)
+    resuming = config.resume and _can_resume(out, config, seeds)
+    prepare_output(out, config.overwrite, config.resume, resuming, "train-rl")
+    write_provenance(out, "train-rl", config)
+    finished = [seed for seed in seeds if is_finished(run_folder(out, seed), config)]
+    left = [seed for seed in seeds if seed not in finished]
+    kept = f", {len(finished)} of them finished" if finished else ""
+    print(f"train-rl writes {len(seeds)} seeds to {out}{kept}", flush=True)
+    failed: dict[int, str] = {}
+    with (
+        SweepProgress(config, seeds, finished) as progress,
+        contextlib.closing(train_seeds_apart(config, left, progress.say)) as ended,
+    ):
+        for end in ended:
+            error = end.error or _missing(out, end.seed, config)
+            progress.end(end.seed, not error)
+            if error:
+                failed[end.seed] = error
+                log = log_of(out, end.seed)
+                progress.say(f"seed {end.seed} failed, {error}; {log} ends with: {_last_line(log)}")
+                continue
+            finished.append(end.seed)
+            run = _write(out, config, finished)["runs"][sorted(finished).index(end.seed)]
+            progress.say(f"seed {end.seed}, {run['seconds']:,.0f} s: {describe_episodes(run['evaluations'][-1])}")
+    summary = _write(out, config, finished)
+    if finished:
+        print(f"{aligned(*seeds_table(summary))}\n{describe_summary(summary)}; see {out / FIGURE}", flush=True)
+    if failed:
+        raise FailureError(_describe_failures(out, failed, len(seeds)))
+    return summary
+
+
+def require_one_run(folder: Path) -> None:
+    """Raise UserError if a folder holds a sweep, which a single run would take for an interrupted one of its own."""
+    seeds = _stored(folder).get("seeds")
+    if seeds:
+        raise UserError(f"{folder} holds runs of several seeds; resume them with --seeds {seeds}, or use another --out")
+
+
+def _can_resume(out: Path, config: TrainRLConfig, seeds: list[int]) -> bool:
+    """Tell whether the folder holds a sweep; raise UserError if it is another one."""
+    if not (out / "config.yaml").is_file():
+        return False
+    require_same_keys(out, config.content(), TrainRLConfig)
+    stored = _stored(out).get("seeds")
+    if not stored:
+        raise UserError(f"{out} holds a single run; use another --out for several seeds")
+    left_out = sorted(set(parse_seeds(str(stored))) - set(seeds))
+    if left_out:
+        raise UserError(
+            f"{out} was begun with --seeds {stored}, and {_names(left_out)} would be left out; resume with all of them "
+            "or use another --out"
+        )
+    return True
+
+
+def _stored(folder: Path) -> Mapping[str, Any]:
+    """Return the keys that a folder was begun with; none if they are missing or damaged."""
+    try:
+        stored = yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError, yaml.YAMLError):
+        return {}
+    return stored if isinstance(stored, dict) else {}
+
+
+def _write(out: Path, config: TrainRLConfig, finished: Iterable[int]) -> dict[str, Any]:
+    """Write and return the summary of what is finished, and draw it."""
+    summary = summarise([read_run(run_folder(out, seed)) for seed in finished])
+    unfinished = sorted(set(parse_seeds(config.seeds)) - set(finished))
+    summary = {"seeds": config.seeds, "unfinished": unfinished, **summary}
+    if summary["runs"]:
+        draw_sweep(out / FIGURE, summary, config.scene)
+    write_json(out / SUMMARY, summary)
+    return summary
+
+
+def _missing(out: Path, seed: int, config: TrainRLConfig) -> str:
+    return "" if is_finished(run_folder(out, seed), config) else "it left no summary"
+
+
+def _last_line(log: Path) -> str:
+    """Return the last line of a log, which tells of an error; a process that was killed did not write of it."""
+    lines = log.read_text(encoding="utf-8", errors="replace").split("\n") if log.is_file() else []
+    return next((line.strip() for line in reversed(lines) if line.strip()), "nothing was said")
+
+
+def _describe_failures(out: Path, failed: Mapping[int, str], seeds: int) -> str:
+    errors = ", ".join(f"{seed} ({error})" for seed, error in sorted(failed.items()))
+    logs = ", ".join(log_of(out, seed).name for seed in sorted(failed))
+    return (
+        f"{len(failed)} of {seeds} seeds failed: {errors}; what they said is in {log_of(out, 0).parent}: {logs}; "
+        "the others are kept: go on with --resume true"
+    )
+
+
+def _names(seeds: list[int]) -> str:
+    return f"seed{'s' * (len(seeds) != 1)} {', '.join(map(str, seeds))}"
