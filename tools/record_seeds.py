@@ -1,51 +1,57 @@
 """Record one recipe's runs over several seeds: a result file and a README's table.
 
-Run from a checkout's root, with encoders or with agents:
+Run from a checkout's root, with encoders or with agents; a sweep of train-rl stands for all its runs:
 
     .venv/bin/python tools/record_seeds.py runs/demo/encoder runs/seeds/encoder*
-    .venv/bin/python tools/record_seeds.py runs/demo/agent runs/seeds/agent*
+    .venv/bin/python tools/record_seeds.py runs/sweep
 """
 
 import argparse
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from record_demo import markdown_table, read_result, replace_tables
 
 from nerf_rl.files.atomic import write_text
-from nerf_rl.files.json_files import write_json
+from nerf_rl.files.json_files import read_json, write_json
+from nerf_rl.files.outputs import PROVENANCE
+from nerf_rl.rl.sweeps.runs import read_run
+from nerf_rl.rl.sweeps.summary import summarise
+from nerf_rl.rl.sweeps.table import describe_summary, seeds_table
 
 
 def main() -> None:
     """Copy summaries with their provenance, ordered by seed; nothing is left out."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("runs", nargs="+", type=Path, help="finished run folders of train-rl, or of pretrain")
-    runs = sorted(map(read_result, parser.parse_args().runs), key=lambda run: run["provenance"]["seed"])
-    commands = {run["provenance"]["command"] for run in runs}
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("runs", nargs="+", type=Path, help="finished runs of pretrain, or of train-rl, or sweeps")
+    folders = [run for given in parser.parse_args().runs for run in runs_of(given)]
+    commands = {read_json(folder / PROVENANCE)["command"] for folder in folders}
     if commands not in ({"train-rl"}, {"pretrain"}):
         sys.exit(f"give runs of train-rl or runs of pretrain, not of {' and '.join(sorted(commands))}")
-    folder, table = ("rl", agents_table) if commands == {"train-rl"} else ("pretrain", encoders_table)
-    write_json(Path(folder) / "results" / "demo_seeds.json", {"runs": runs})
+    folder, record = ("rl", record_agents) if commands == {"train-rl"} else ("pretrain", record_encoders)
+    results, table = record(folders)
+    write_json(Path(folder) / "results" / "demo_seeds.json", results)
     readme = Path(folder) / "README.md"
-    write_text(readme, replace_tables(readme.read_text(), {f"{folder}-seeds": table(runs)}))
+    write_text(readme, replace_tables(readme.read_text(), {f"{folder}-seeds": table}))
 
 
-def agents_table(runs: list[dict]) -> str:
-    """Return a row for each seed: success at each evaluation."""
-    steps = [evaluation["env_steps"] for evaluation in runs[0]["evaluations"]]
-    rows = [
-        [
-            run["provenance"]["seed"],
-            *(f"{evaluation['success_rate']:.0%}" for evaluation in run["evaluations"]),
-            f"{run['seconds']:.0f}",
-        ]
-        for run in runs
-    ]
-    return markdown_table(["seed", *(f"{step:,}" for step in steps), "seconds"], rows)
+def runs_of(folder: Path) -> Iterator[Path]:
+    """Yield the run folders of a sweep, or the run folder that this is."""
+    seeds = sorted(folder.glob("seed-*/"))
+    yield from seeds or [folder]
 
 
-def encoders_table(runs: list[dict]) -> str:
-    """Return a row for each seed: images of held-out frames, and the probe."""
+def record_agents(folders: list[Path]) -> tuple[dict[str, Any], str]:
+    """Return a sweep's summary, with each run's provenance, and its table."""
+    summary = summarise([{**read_run(folder), "provenance": read_json(folder / PROVENANCE)} for folder in folders])
+    return summary, f"{markdown_table(*seeds_table(summary))}\n\n{describe_summary(summary)}"
+
+
+def record_encoders(folders: list[Path]) -> tuple[dict[str, Any], str]:
+    """Return the runs, and a row for each seed: images of held-out frames, and the probe."""
+    runs = sorted(map(read_result, folders), key=lambda run: run["provenance"]["seed"])
     columns = [name for name in runs[0]["probe"] if not name.startswith("goal")]
     rows = [
         [
@@ -56,7 +62,8 @@ def encoders_table(runs: list[dict]) -> str:
         ]
         for run in runs
     ]
-    return markdown_table(["seed", "PSNR [dB]", "mIoU", *(f"{name} [mm]" for name in columns)], rows)
+    table = markdown_table(["seed", "PSNR [dB]", "mIoU", *(f"{name} [mm]" for name in columns)], rows)
+    return {"runs": runs}, table
 
 
 if __name__ == "__main__":
