@@ -46,3 +46,18 @@ class StateColumns:
     def privileged(self, data: mujoco.MjData) -> Float[ndarray, "Q"]:
         """Return the values of ``privileged_names``; positions must be propagated."""
         return data.xpos[self._bodies].ravel()
+
+
+def joints(model: mujoco.MjModel) -> list[dict[str, str]]:
+    """Return ``name`` and ``kind`` (free, ball, slide or hinge) of the model's joints, in the order of ``qpos``.
+
+    A joint without a name has that of its body, where it is the body's only one, or its number.
+    """
+    found = []
+    for joint in range(model.njnt):
+        body = model.body(model.jnt_bodyid[joint])
+        only = body.name if model.body_jntnum[body.id] == 1 else ""
+        name = model.joint(joint).name or only or f"joint_{joint}"
+        kind = mujoco.mjtJoint(model.jnt_type[joint]).name.removeprefix("mjJNT_").lower()
+        found.append({"name": name, "kind": kind})
+    return found

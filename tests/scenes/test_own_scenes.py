@@ -9,10 +9,12 @@ import pytest
 from nerf_rl import cli
 from nerf_rl.cameras.geometry import project
 from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.stored_manifest import JOINT_NUMBERS
 from nerf_rl.errors import UserError
 from nerf_rl.files.json_files import read_json
 from nerf_rl.scenes.base import Scene, model_digest
 from nerf_rl.scenes.make import make_scene
+from nerf_rl.scenes.state_columns import joints
 
 BLOCKS = "datasets/scenes/blocks.xml"
 SCENES = (BLOCKS, "gym/Ant-v5", "gym/Pusher-v5", "gym/InvertedPendulum-v5")
@@ -53,6 +55,16 @@ def test_looking_at_a_scene_does_not_change_what_happens_in_it(name: str):
         np.testing.assert_array_equal(seen[0], unseen[0])
         assert seen[1] == unseen[1]
         np.testing.assert_array_equal(looked.data.xpos, alone.data.xpos)
+
+
+@pytest.mark.parametrize("name", (*SCENES, "metaworld/hammer-v3"))
+def test_joints_are_told_apart_and_make_up_the_state(name: str):
+    model = make_scene(name).model
+    found = joints(model)
+    assert sum(JOINT_NUMBERS[joint["kind"]] for joint in found) == model.nq
+    assert len({joint["name"] for joint in found}) == model.njnt
+    if name == BLOCKS:
+        assert {"name": "green_block", "kind": "free"} in found and {"name": "left", "kind": "slide"} in found
 
 
 @pytest.mark.parametrize("name", SCENES)

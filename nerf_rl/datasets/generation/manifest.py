@@ -20,6 +20,7 @@ from nerf_rl.datasets.storage.plan import Plan, plan_digest
 from nerf_rl.datasets.storage.shards import SCHEMA_VERSION, sha256_of, shard_file, shard_path
 from nerf_rl.files.versions import package_versions
 from nerf_rl.rendering.semantics import palette
+from nerf_rl.scenes.state_columns import joints
 
 
 def describe(config: GenDatasetConfig, context: RenderContext, plan: Plan) -> dict[str, Any]:
@@ -51,6 +52,7 @@ def describe(config: GenDatasetConfig, context: RenderContext, plan: Plan) -> di
             "privileged": list(scene.privileged_names),
             "action": action_names,
         },
+        "joints": joints(scene.model),
         "bodies": [scene.model.body(i).name for i in range(scene.model.nbody)],
     }
 

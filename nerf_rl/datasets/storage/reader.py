@@ -98,6 +98,10 @@ class MultiViewDataset:
         """Return the column names of ``proprio``, ``privileged`` or ``action``."""
         return tuple(self.manifest["columns"][group])
 
+    def joints(self) -> list[dict[str, str]]:
+        """Return ``name`` and ``kind`` of the joints that make up ``state/qpos``; none if the manifest is older."""
+        return self.manifest.get("joints", [])
+
     def split(self, name: str) -> Int[ndarray, "M"]:
         """Return the frame indices of ``train`` or ``validation``."""
         if name not in SPLIT_NAMES:

@@ -16,7 +16,8 @@ _MOST_CLASSES = 256  # labels are bytes
 ROLES = ("encoder", "supervision", "test")
 COUNTS = {"episodes": whole(1), "frames_per_episode": whole(1), "episodes_per_shard": whole(1)}
 """of a dataset's configuration: what tells how many frames its shards have"""
-
+JOINT_NUMBERS = {"free": 7, "ball": 4, "slide": 1, "hinge": 1}
+"""how many numbers of ``qpos`` a joint has, by its kind"""
 
 _NAME = text()
 _SHARD = mapping(
@@ -39,6 +40,7 @@ MANIFEST_STRUCTURE = mapping(
         "width": whole(1, LARGEST_IMAGE),
         "far": optional(number(0.0)),
         "detail": optional(number(0.0)),
+        "joints": listing(mapping({"name": _NAME, "kind": one_of(*JOINT_NUMBERS)})),
         "bodies": listing(_NAME),
         "renderer": _NAME,
         "frames": whole(),
