@@ -57,7 +57,7 @@ def test_the_clip_on_the_page_plays_and_shows_scene_camera_and_decoded_views(pag
 
 def test_the_page_names_the_figures_of_the_summaries(page: str, tiny_encoder: Path, agent: Path) -> None:
     validation = json.loads((tiny_encoder / "summary.json").read_text())["validation"]
-    assert f"PSNR {validation['psnr_db']:.1f} dB, mIoU {validation['miou']:.2f}" in page
+    assert f"PSNR {validation['psnr_db']:.1f} dB, SSIM {validation['ssim']:.2f}, mIoU {validation['miou']:.2f}" in page
     last = json.loads((agent / "summary.json").read_text())["evaluations"][-1]
     assert f"success {last['success_rate']:.0%}" in page
     assert "revision" in page and "torch==" in page

@@ -155,7 +155,7 @@ class PretrainConfig:
     max_minutes: float | None = None
     """wall-clock budget [minutes]; schedules end with it"""
     stop_when: str | None = None
-    """measure of a validation that ends the run, such as miou>=0.9, psnr_db>=24 or depth_mae_m<=0.03"""
+    """measure of a validation that ends the run, such as miou>=0.9, psnr_db>=24, ssim>=0.8 or depth_mae_m<=0.03"""
     learning_rate: float = 7e-4
     """peak rate of Adam"""
     coarse_to_fine: float = 0.4

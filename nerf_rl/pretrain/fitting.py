@@ -57,6 +57,8 @@ class FitResult:
     class_iou: dict[str, float | None]
     class_share: dict[str, float]
     """of the pixels of held-out frames"""
+    other_cameras: dict[str, dict[str, float | None]]
+    """what ``validation`` is of the encoder's cameras, of those of other roles"""
     probe: ProbeResult
 
 
@@ -142,7 +144,7 @@ def fit(config: PretrainConfig, dataset: MultiViewDataset, folder: Path, checkpo
         return None
     device = describe_device(trainer.strategy.root_device)
     probe = _export(module, dataset, config, folder)
-    found = module.validation, module.class_iou, module.class_share, probe
+    found = module.validation, module.class_iou, module.class_share, module.other_cameras, probe
     return FitResult(trainer.global_step, module.seconds, device, precision, *found)
 
 

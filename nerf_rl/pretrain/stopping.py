@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from nerf_rl.errors import UnknownNameError, UserError
 
-MEASURES = ("psnr_db", "miou", "depth_mae_m")
+MEASURES = ("psnr_db", "ssim", "miou", "depth_mae_m")
 _FORM = re.compile(r"\s*(\w+)\s*(>=|<=)\s*([-+.\deE]+)\s*")
 
 

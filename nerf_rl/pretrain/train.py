@@ -83,10 +83,13 @@ def train(config: PretrainConfig, checkpoint: Path | None) -> None:
         "class_iou": result.class_iou,
         "class_share": {name: round(share, 5) for name, share in result.class_share.items()},
         "hardly_shown": missing,
+        "validation_other_cameras": result.other_cameras,
         **result.probe.summary(),
     }
     write_json(folder / SUMMARY, summary)
     print(f"{folder}: {result.steps} steps, {describe_validation(result.validation)}")
+    for role, figures in result.other_cameras.items():
+        print(f"from {role} cameras: {describe_validation(figures)}")
     print(result.probe.table())
     if missing:
         print(f"warning: {describe_hardly_shown(missing, result.class_iou)}", file=sys.stderr)

@@ -76,6 +76,8 @@ def _key_figures(summaries: dict[str, dict[str, Any]]) -> list[str]:
             f"encoder  {encoder['steps']} steps in {encoder['seconds']:.0f} s: held-out "
             f"{describe_validation(encoder['validation'])}"
         )
+        for role, figures in encoder.get("validation_other_cameras", {}).items():
+            lines.append(f"         from {role} cameras: {describe_validation(figures)}")
         lines.append("probe    " + ", ".join(f"{name} {figure['rmse_mm']:.1f} mm" for name, figure in probe))
     agent = summaries["agent"]
     last = agent["evaluations"][-1]

@@ -16,13 +16,15 @@ import torch
 
 from nerf_rl import cli
 from nerf_rl.datasets.storage.reader import MultiViewDataset
-from nerf_rl.pretrain.config import PretrainConfig
+from nerf_rl.metrics import psnr_db
+from nerf_rl.pretrain.config import PretrainConfig, SamplingConfig
 from nerf_rl.pretrain.data.batches import RayBatches
 from nerf_rl.pretrain.data.statistics import measure
 from nerf_rl.pretrain.measures.figures import describe_iou
 from nerf_rl.pretrain.model.encoder import DESCRIPTION, WEIGHTS, Encoder
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 from nerf_rl.pretrain.model.field import RadianceField
+from nerf_rl.pretrain.model.ray_rendering import render_images
 from nerf_rl.pretrain.objectives.snerl_module import SnerlModule
 
 STEPS = 6
@@ -50,9 +52,35 @@ def test_the_summary_has_its_figures(tiny_encoder: Path):
     summary = json.loads((tiny_encoder / "summary.json").read_text())
     assert {"steps", "seconds", "peak_rss_mb", "validation", "probe"} <= set(summary)
     assert summary["steps"] == STEPS and summary["seconds"] > 0 and summary["peak_rss_mb"] > 50
-    assert set(summary["validation"]) == {"psnr_db", "miou", "depth_mae_m"}
+    assert list(summary["validation"]) == ["psnr_db", "ssim", "miou", "depth_mae_m"]
     assert 0 <= summary["validation"]["miou"] <= 1 and 0 < summary["validation"]["psnr_db"] < 60
     assert set(summary["probe"]["hand_x"]) == {"rmse_mm", "r2"}
+
+
+def test_cameras_that_the_encoder_does_not_see_have_figures_of_their_own(tiny_encoder: Path, tiny_dataset: Path):
+    summary = json.loads((tiny_encoder / "summary.json").read_text())
+    others = summary["validation_other_cameras"]
+    assert set(others) == {"test", "supervision"}
+    dataset, encoder, field = (
+        MultiViewDataset(tiny_dataset),
+        Encoder.load(tiny_encoder),
+        RadianceField.load(tiny_encoder),
+    )
+    sampling = SamplingConfig(rendering_stratified=6, rendering_importance=4)
+    held_out = dataset.split("validation")
+    frames = held_out[[0, len(held_out) - 1]]  # as many as the recipe asks for
+    for role in others:
+        decibels = []
+        for frame in frames.tolist():
+            (view,) = dataset.views(role)
+            images = dataset.read("rgb", [frame])
+            latent = encoder.encode(torch.from_numpy(images[:, dataset.views("encoder")]))[0]
+            intrinsics, poses = dataset.cameras([frame])
+            seen = render_images(field, latent, intrinsics[[view]], poses[0, [view]], 24, 24, sampling)
+            decibels.append(psnr_db(float(((seen.rgb[0] - images[0, view] / 255.0) ** 2).mean())))
+        assert others[role]["psnr_db"] == pytest.approx(np.mean(decibels), abs=1e-3)
+        assert logged(tiny_encoder, f"validation_{role}/psnr_db")[-1] == pytest.approx(others[role]["psnr_db"])
+    assert list(others["test"]) == list(summary["validation"])
 
 
 def test_the_artefact_describes_where_the_encoder_came_from(tiny_encoder: Path, tiny_dataset: Path):
@@ -81,7 +109,7 @@ def test_latents_are_standardised_over_the_training_frames(tiny_encoder: Path, t
 def test_every_loss_is_logged_by_name(tiny_encoder: Path):
     with open(tiny_encoder / "logs" / "metrics.csv") as file:
         columns = set(csv.DictReader(file).fieldnames or ())
-    assert {"validation/psnr_db", "validation/miou", "validation/depth_mae_m"} <= columns
+    assert {f"validation/{name}" for name in ("psnr_db", "ssim", "miou", "depth_mae_m")} <= columns
     assert list((tiny_encoder / "logs").glob("events.out.tfevents*"))
     assert logged(tiny_encoder, "validation/psnr_db")
 
@@ -118,7 +146,7 @@ def test_training_that_was_killed_resumes_to_the_same_bits(
     for name in (WEIGHTS, "field.safetensors"):
         assert (out / name).read_bytes() == (tiny_encoder / name).read_bytes(), name
     resumed, uninterrupted = (json.loads((run / "summary.json").read_text()) for run in (out, tiny_encoder))
-    for key in ("steps", "validation", "probe"):
+    for key in ("steps", "validation", "validation_other_cameras", "probe"):
         assert resumed[key] == uninterrupted[key]
 
 

@@ -10,13 +10,14 @@ _LEAST_IOU = 0.3
 def describe_validation(figures: Mapping[str, float | None]) -> str:
     """Return the figures of held-out frames as part of a sentence; what could not be measured is unknown.
 
-    An encoder without a radiance field has none.
+    An encoder without a radiance field has none, and earlier runs have no SSIM.
     """
     if not figures:
         return "no field to validate"
-    depth = figures["depth_mae_m"]
+    depth, ssim = figures["depth_mae_m"], figures.get("ssim")
+    structure = "" if ssim is None else f"SSIM {ssim:.2f}, "
     return (
-        f"PSNR {figures['psnr_db']:.1f} dB, mIoU {figures['miou']:.2f}, "
+        f"PSNR {figures['psnr_db']:.1f} dB, {structure}mIoU {figures['miou']:.2f}, "
         f"depth error {UNKNOWN if depth is None else f'{100 * depth:.1f} cm'}"
     )
 

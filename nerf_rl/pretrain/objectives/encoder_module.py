@@ -49,6 +49,8 @@ class EncoderModule(lightning.LightningModule):
         self.class_share: dict[str, float] = {}
         self.validated_step = -1
         """the step that ``validation``, ``class_iou`` and ``class_share`` (of the pixels) are of"""
+        self.other_cameras: dict[str, dict[str, float | None]] = {}
+        """what ``validation`` is of the encoder's cameras, of those of other roles"""
         self.last_losses: dict[str, Tensor] = {}
         """of the last step; they stay on the device, so that no step waits to show them"""
         self.seconds = 0.0

@@ -1,22 +1,22 @@
 """The LightningModule that trains encoder and radiance field together."""
 
-import math
 from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from lightning.pytorch.trainer.states import TrainerFn
-from torch import Tensor
+from torch import Tensor, nn
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
-from nerf_rl.metrics import confusion_matrix, intersection_over_union, psnr_db
+from nerf_rl.metrics import psnr_db
 from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.data.batches import RayBatch
 from nerf_rl.pretrain.data.data_module import NO_FRAME
 from nerf_rl.pretrain.data.statistics import Statistics
 from nerf_rl.pretrain.data.teachers import find_teacher
-from nerf_rl.pretrain.execution.distributed import sum_over_processes
 from nerf_rl.pretrain.execution.side_by_side import Shares, equal_shares
+from nerf_rl.pretrain.measures.picture_measures import PictureMeasures
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 from nerf_rl.pretrain.model.field import RadianceField
 from nerf_rl.pretrain.model.precision import in_full_precision
@@ -26,7 +26,10 @@ from nerf_rl.pretrain.objectives.losses import losses, weighted_sum
 from nerf_rl.pretrain.stopping import parse_goal
 
 _PLANE_RATE = 10.0  # of static feature planes, times the learning rate: few rays reach any one cell
-_LEAST_ERROR = 1e-10  # squared, of colours: a picture without any counts as 100 dB, which has a mean with others
+ENCODER_CAMERAS = "encoder"
+"""the role of those that z is made of; a run's figures are of what they see"""
+_OTHER_CAMERAS = ("test", "supervision")  # roles: never trained on; trained on, but not in these episodes
+_MOST_OTHER_CAMERAS = 2  # of a role, the first ones: some datasets have a dome of fifty
 
 
 class SnerlModule(EncoderModule):
@@ -43,7 +46,6 @@ class SnerlModule(EncoderModule):
 
     def __init__(self, config: PretrainConfig, dataset: MultiViewDataset, statistics: Statistics, rig: EncoderRig):
         super().__init__(config, dataset, rig)
-        self._bounds = statistics.bounds
         teacher_width = sum(find_teacher(name).width for name in config.teachers)
         classes = len(dataset.class_names)
         anchors = statistics.anchors
@@ -59,7 +61,11 @@ class SnerlModule(EncoderModule):
         self.register_buffer("anchor_spread", torch.from_numpy(anchors.spread).float(), persistent=False)
         self.threads = 1
         """that share the scenes of a training step"""
-        self._reset_validation()
+        others = {role: dataset.views(role)[:_MOST_OTHER_CAMERAS] for role in _OTHER_CAMERAS if dataset.views(role)}
+        self._views = {ENCODER_CAMERAS: dataset.views(ENCODER_CAMERAS), **others}
+        names, far = dataset.class_names, statistics.bounds.far
+        self._measures = {role: PictureMeasures(names, far) for role in self._views}
+        self._registered = nn.ModuleDict(self._measures)  # with which they follow the module to its device
 
     def training_step(self, batch: RayBatch, step: int) -> Tensor:
         """Return the loss of a step, of this process's share of its scenes; log every loss by its name, of all."""
@@ -128,44 +134,33 @@ class SnerlModule(EncoderModule):
 
     def on_validation_epoch_start(self) -> None:
         """Forget the last validation."""
-        self._reset_validation()
+        for measures in self._measures.values():
+            measures.reset()
 
     def validation_step(self, frame: int, step: int) -> None:
-        """Render a held-out frame from the encoder's cameras, without its depth, and compare."""
+        """Render a held-out frame, without its depth, from the encoder's and from other cameras, and compare."""
         if int(frame) == NO_FRAME:
             return
-        rendered, truth = self.render_frame(int(frame)), self.truth(int(frame))
-        error = ((rendered.rgb - truth["rgb"]) ** 2).mean(axis=(1, 2, 3))
-        self._psnr += [psnr_db(max(float(view), _LEAST_ERROR)) for view in error]
-        self._confusion += confusion_matrix(truth["semantic"], rendered.semantic, len(self._confusion))
-        near = truth["depth"] < self._bounds.far
-        self._depth += [float(np.abs(rendered.depth - truth["depth"])[near].mean())] if near.any() else []
+        latent = self._encode(int(frame))
+        for role, measures in self._measures.items():
+            measures.update(self._render(latent, int(frame), role), self.truth(int(frame), role))
 
     def on_validation_epoch_end(self) -> None:
         """Log the figures of the held-out frames, those of all processes together."""
-        sums = [sum(self._psnr), len(self._psnr), sum(self._depth), len(self._depth)]
-        own = torch.tensor([*sums, *self._confusion.ravel()], dtype=torch.float64, device=self.device)
-        merged = sum_over_processes(own).cpu().numpy()
-        (psnr, views, depth, frames), confusion = merged[:4], merged[4:].reshape(self._confusion.shape)
-        if not views:
-            return
-        iou = intersection_over_union(confusion.astype(np.int64))
-        self.validation = {
-            "psnr_db": float(psnr / views),
-            "miou": float(np.nanmean(iou)),
-            "depth_mae_m": float(depth / frames) if frames else None,
-        }
+        found = {role: measures.compute() for role, measures in self._measures.items()}
+        for role, pictures in found.items():
+            if pictures is None:
+                return
+            if role == ENCODER_CAMERAS:
+                self.validation, self.class_iou, self.class_share = pictures
+            else:
+                self.other_cameras[role] = pictures.figures
+            folder = "validation" if role == ENCODER_CAMERAS else f"validation_{role}"
+            known = {f"{folder}/{name}": value for name, value in pictures.figures.items() if value is not None}
+            self.log_dict(known, rank_zero_only=True)
         self.validated_step = self.global_step
-        self.class_iou = {
-            name: None if math.isnan(value) else float(value)
-            for name, value in zip(self._dataset.class_names, iou.tolist(), strict=True)
-        }
-        shares = confusion.sum(1) / confusion.sum()
-        self.class_share = dict(zip(self._dataset.class_names, shares.tolist(), strict=True))
         if self.config.stop_when and self._is_fitting and parse_goal(self.config.stop_when).is_reached(self.validation):
             self.trainer.should_stop = True
-        known = {f"validation/{name}": value for name, value in self.validation.items() if value is not None}
-        self.log_dict(known, rank_zero_only=True)
 
     @property
     def _is_fitting(self) -> bool:
@@ -176,25 +171,25 @@ class SnerlModule(EncoderModule):
         """Depth of the dataset's far plane [m]."""
         return float(self._dataset.manifest["far"])
 
-    def truth(self, frame: int) -> dict[str, np.ndarray]:
-        """Return colours in [0, 1], labels and depth of a frame from the encoder's cameras."""
-        views = self._dataset.views("encoder")
+    def truth(self, frame: int, role: str = ENCODER_CAMERAS) -> dict[str, np.ndarray]:
+        """Return colours in [0, 1], labels and depth of a frame from the cameras of a role."""
+        views = self._views[role]
         rgb, depth = (self._dataset.read(name, [frame])[0, views] for name in ("rgb", "depth"))
         semantic = self._dataset.read_labels([frame])[0, views].astype(np.int64)
         return {"rgb": rgb.astype(np.float32) / 255.0, "semantic": semantic, "depth": depth}
 
-    @torch.no_grad()
     def render_frame(self, frame: int) -> RenderedImages:
         """Encode a frame and render it from the encoder's cameras."""
-        rig = self.encoder.rig
-        images = self._dataset.read("rgb", [frame])[:, self._dataset.views("encoder")]
-        projections = torch.from_numpy(rig.projections).to(self.device)[None]
-        latent = self.encoder(torch.from_numpy(images).to(self.device), projections)[0]
-        pose = rig.camera_from_world
-        return render_images(self.field, latent, rig.intrinsics, pose, rig.height, rig.width, self.config.sampling)
+        return self._render(self._encode(frame), frame, ENCODER_CAMERAS)
 
-    def _reset_validation(self) -> None:
-        classes = len(self._dataset.class_names)
-        self._psnr: list[float] = []
-        self._depth: list[float] = []
-        self._confusion = np.zeros((classes, classes), np.int64)
+    @torch.no_grad()
+    def _encode(self, frame: int) -> Float[Tensor, "Z"]:
+        images = self._dataset.read("rgb", [frame])[:, self._views[ENCODER_CAMERAS]]
+        return self.encoder.encode(torch.from_numpy(images))[0]
+
+    def _render(self, latent: Float[Tensor, "Z"], frame: int, role: str) -> RenderedImages:
+        """Render what a latent describes from where the cameras of a role were in a frame."""
+        rig, views = self.encoder.rig, self._views[role]
+        intrinsics, poses = self._dataset.cameras([frame])
+        size = rig.height, rig.width
+        return render_images(self.field, latent, intrinsics[views], poses[0, views], *size, self.config.sampling)
