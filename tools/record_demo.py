@@ -17,7 +17,7 @@ from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import PROVENANCE, SUMMARY
-from nerf_rl.pretrain.measures.figures import describe_iou, describe_validation
+from nerf_rl.pretrain.measures.figures import NETWORK, describe_error, describe_iou, describe_validation
 from nerf_rl.report.contact_sheet import contact_sheet
 from nerf_rl.rl.training.curves import draw_learning_curve
 
@@ -82,7 +82,7 @@ def demo_table(results: dict, setup_seconds: float, total_seconds: float) -> str
     data, encoder, agent = results["datasets"], results["pretrain"], results["rl"]
     figures, last = encoder["validation"], agent["evaluations"][-1]
     probe = ", ".join(
-        f"{name.replace('_', ' ')} {figure['rmse_mm']:.1f} mm"
+        f"{name.replace('_', ' ')} {describe_error(figure)}"
         for name, figure in encoder["probe"].items()
         if not name.startswith("goal")
     )
@@ -108,13 +108,20 @@ def demo_table(results: dict, setup_seconds: float, total_seconds: float) -> str
 
 def pretrain_table(summary: dict) -> str:
     """Return the probes and the classes' IoU."""
-    untrained = summary["probe_random_encoder"]
     probes = [
-        (name, f"{figure['rmse_mm']:.1f}", f"{figure['r2']:.3f}", f"{untrained[name]['rmse_mm']:.1f}")
-        for name, figure in summary["probe"].items()
+        (
+            name,
+            describe_error(figure),
+            describe_error(figure, NETWORK),
+            f"{figure['r2']:.3f}",
+            describe_error(untrained),
+        )
+        for kind in ("probe", "joint_probe")
+        for name, figure in summary.get(kind, {}).items()
+        for untrained in [summary[f"{kind}_random_encoder"][name]]
     ]
     classes = [(name, describe_iou(iou)) for name, iou in summary["class_iou"].items()]
-    header = ["state", "RMSE [mm]", "R2", "untrained encoder, RMSE [mm]"]
+    header = ["state", "linear probe", "network probe", "R2, linear", "untrained encoder, linear"]
     return f"{markdown_table(header, probes)}\n\n{markdown_table(['class', 'IoU'], classes)}"
 
 

@@ -167,7 +167,7 @@ class PretrainConfig:
     validation_frames: int = 16
     """held-out frames that are rendered whole"""
     probe_frames: int = 4000
-    """training frames that linear probes are fitted on"""
+    """training frames that probes are fitted on"""
     precision: str = "auto"
     """auto (whichever was measured to train better on such a device), 32 or bf16"""
     accelerator: str = "auto"

@@ -32,7 +32,7 @@ from nerf_rl.pretrain.execution.placement import (
 )
 from nerf_rl.pretrain.measures.figures import describe_validation
 from nerf_rl.pretrain.measures.latent_statistics import measure_latents
-from nerf_rl.pretrain.measures.linear_probe import ProbeResult, probe_encoder
+from nerf_rl.pretrain.measures.probing import ProbeResult, probe_encoder
 from nerf_rl.pretrain.model.encoder_file import CHECKPOINT
 from nerf_rl.pretrain.model.precision import lightning_precision, resolve_precision
 from nerf_rl.pretrain.objectives.encoder_module import EncoderModule
@@ -182,7 +182,8 @@ def _export(module: EncoderModule, dataset: MultiViewDataset, config: PretrainCo
         "objective": config.objective,
         "dataset": {"folder": str(dataset.folder), "sha256": dataset.digest()},
         "validation": module.validation,
-        "probe": probe.encoder,
+        "probe": probe.encoder.columns,
+        "joint_probe": probe.encoder.joints,
     }
     encoder.save(folder, description)
     if isinstance(module, SnerlModule):

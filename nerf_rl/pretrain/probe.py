@@ -25,7 +25,7 @@ def probe(config: ProbeConfig) -> None:
         prepare_output(Path(config.out), config.overwrite)
         write_provenance(Path(config.out), "probe", config)
 
-    from nerf_rl.pretrain.measures.linear_probe import probe_encoder
+    from nerf_rl.pretrain.measures.probing import probe_encoder
     from nerf_rl.pretrain.model.encoder import Encoder  # PyTorch takes seconds to import; mistakes are told before
 
     encoder = Encoder.load(config.encoder).to(resolve_device(config.device))

@@ -14,7 +14,7 @@ from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json
 from nerf_rl.files.outputs import PROVENANCE, SUMMARY
 from nerf_rl.pictures.page import Page
-from nerf_rl.pretrain.measures.figures import describe_iou, describe_validation
+from nerf_rl.pretrain.measures.figures import NETWORK, describe_error, describe_iou, describe_validation
 from nerf_rl.pretrain.model.encoder_file import read_description
 from nerf_rl.report.config import ReportConfig
 from nerf_rl.report.sources import FIELD, Sources, find_sources
@@ -78,7 +78,7 @@ def _key_figures(summaries: dict[str, dict[str, Any]]) -> list[str]:
         )
         for role, figures in encoder.get("validation_other_cameras", {}).items():
             lines.append(f"         from {role} cameras: {describe_validation(figures)}")
-        lines.append("probe    " + ", ".join(f"{name} {figure['rmse_mm']:.1f} mm" for name, figure in probe))
+        lines.append("probe    " + ", ".join(f"{name} {describe_error(figure)}" for name, figure in probe))
     agent = summaries["agent"]
     last = agent["evaluations"][-1]
     lines.append(
@@ -109,12 +109,20 @@ def _add_encoder(page: Page, folder: Path, summary: dict[str, Any]) -> None:
         )
         page.image(pictures[-1].read_bytes(), caption)
     page.table(["class", "IoU"], [[name, describe_iou(iou)] for name, iou in summary["class_iou"].items()])
-    page.paragraph("What a linear map reads from the latent, on held-out episodes:")
+    page.paragraph(
+        "What a linear map, and what a small network, reads from the latent on held-out episodes, as root mean squared "
+        "error:"
+    )
     rows = []
-    for name, figure in summary["probe"].items():
-        untrained = summary["probe_random_encoder"][name]
-        rows.append([name, f"{figure['rmse_mm']:.1f}", f"{figure['r2']:.3f}", f"{untrained['rmse_mm']:.1f}"])
-    page.table(["state", "RMSE [mm]", "R2", "untrained encoder, RMSE [mm]"], rows)
+    for kind in ("probe", "joint_probe"):
+        for name, figure in summary.get(kind, {}).items():
+            untrained = summary[f"{kind}_random_encoder"][name]
+            errors = [describe_error(each, probe) for each in (figure, untrained) for probe in ("", NETWORK)]
+            rows.append([name, f"{figure['r2']:.3f}", *errors])
+    encoders = [
+        f"{probe}, {encoder}" for encoder in ("this encoder", "untrained one") for probe in ("linear", "network")
+    ]
+    page.table(["state", "R2, linear", *encoders], rows)
 
 
 def _add_agent(page: Page, config: ReportConfig, sources: Sources, summary: dict[str, Any]) -> None:

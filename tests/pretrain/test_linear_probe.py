@@ -1,4 +1,4 @@
-"""Linear probes: the fit by another route, and what is reported."""
+"""Linear probes: the fit by another route, and the latents that it is of."""
 
 from pathlib import Path
 
@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
-from nerf_rl.errors import UserError
-from nerf_rl.pretrain.measures.linear_probe import encode_frames, linear_probe, probe_encoder
+from nerf_rl.pretrain.measures.linear_probe import encode_frames, linear_probe
 from nerf_rl.pretrain.model.encoder import Encoder
 
 RIDGE = 1e-3
@@ -49,28 +48,6 @@ def test_the_units_of_latents_do_not_matter():
     np.testing.assert_allclose(linear_probe(1e4 * latents - 7, targets, 1e4 * queries - 7), predicted, atol=1e-5)
 
 
-def test_figures_are_those_of_the_held_out_frames_in_columns_that_vary(tiny_dataset: Path, tiny_encoder: Path):
-    dataset, encoder = MultiViewDataset(tiny_dataset), Encoder.load(tiny_encoder)
-    result = probe_encoder(encoder, dataset, 9, seed=0)
-    train, held_out = dataset.split("train"), dataset.split("validation")
-    assert len(train) == 9
-    state = dataset.read("state/privileged").astype(float)
-    varying = [i for i in range(9) if min(state[train, i].std(), state[held_out, i].std()) > 1e-4]
-    names = [dataset.columns("privileged")[i] for i in varying]
-    assert list(result.encoder) == list(result.random_encoder) == names
-    assert {"hand_x", "hand_y", "hand_z"} <= set(names) and "goal_z" not in names
-    latents = [encode_frames(encoder, dataset, part) for part in (train, held_out)]
-    np.testing.assert_array_equal(result.latents, latents[0])
-    error = linear_probe(latents[0], state[train], latents[1]) - state[held_out]
-    for name, column in zip(names, varying, strict=True):
-        figures = result.encoder[name]
-        assert figures["rmse_mm"] == pytest.approx(1000 * np.sqrt((error[:, column] ** 2).mean()), rel=1e-3)
-        assert figures["r2"] == pytest.approx(
-            1 - (error[:, column] ** 2).mean() / state[held_out, column].var(), abs=1e-3
-        )
-    assert result.encoder != result.random_encoder
-
-
 def test_latents_are_those_of_single_frames(tiny_dataset: Path, tiny_encoder: Path, monkeypatch: pytest.MonkeyPatch):
     dataset, encoder = MultiViewDataset(tiny_dataset), Encoder.load(tiny_encoder)
     monkeypatch.setattr("nerf_rl.pretrain.measures.linear_probe._FRAMES_AT_ONCE", 3)
@@ -80,25 +57,3 @@ def test_latents_are_those_of_single_frames(tiny_dataset: Path, tiny_encoder: Pa
         images = torch.from_numpy(dataset.read("rgb", [frame])[:, [1, 2]])
         matrices = torch.from_numpy(dataset.projections([frame])[:, [1, 2]].astype(np.float32))
         np.testing.assert_allclose(row, encoder(images, matrices)[0].numpy(), atol=1e-5)
-
-
-def test_the_random_encoder_is_decided_by_the_seed_and_leaves_the_random_state_alone(
-    tiny_dataset: Path, tiny_encoder: Path
-):
-    dataset, encoder = MultiViewDataset(tiny_dataset), Encoder.load(tiny_encoder)
-    torch.manual_seed(1)
-    before = torch.get_rng_state()
-    first = probe_encoder(encoder, dataset, 9, seed=0).random_encoder
-    assert torch.equal(torch.get_rng_state(), before)
-    torch.manual_seed(2)
-    assert probe_encoder(encoder, dataset, 9, seed=0).random_encoder == first
-    assert probe_encoder(encoder, dataset, 9, seed=1).random_encoder != first
-
-
-def test_a_dataset_without_held_out_frames_is_refused(
-    tiny_dataset: Path, tiny_encoder: Path, monkeypatch: pytest.MonkeyPatch
-):
-    dataset = MultiViewDataset(tiny_dataset)
-    monkeypatch.setattr(dataset, "split", lambda name: np.arange(12 if name == "train" else 1))
-    with pytest.raises(UserError, match="needs at least two training and two validation frames to probe on"):
-        probe_encoder(Encoder.load(tiny_encoder), dataset, 9, seed=0)

@@ -54,7 +54,8 @@ def test_the_summary_has_its_figures(tiny_encoder: Path):
     assert summary["steps"] == STEPS and summary["seconds"] > 0 and summary["peak_rss_mb"] > 50
     assert list(summary["validation"]) == ["psnr_db", "ssim", "miou", "depth_mae_m"]
     assert 0 <= summary["validation"]["miou"] <= 1 and 0 < summary["validation"]["psnr_db"] < 60
-    assert set(summary["probe"]["hand_x"]) == {"rmse_mm", "r2"}
+    assert set(summary["probe"]["hand_x"]) == {"rmse_mm", "r2", "network_rmse_mm", "network_r2"}
+    assert set(summary["joint_probe"]["right_j0"]) == {"rmse_deg", "r2", "network_rmse_deg", "network_r2"}
 
 
 def test_cameras_that_the_encoder_does_not_see_have_figures_of_their_own(tiny_encoder: Path, tiny_dataset: Path):
@@ -89,7 +90,7 @@ def test_the_artefact_describes_where_the_encoder_came_from(tiny_encoder: Path, 
     summary = json.loads((tiny_encoder / "summary.json").read_text())
     assert description["classes"] == list(dataset.class_names)
     assert description["dataset"]["sha256"] == dataset.digest()
-    assert description["probe"] == summary["probe"]
+    assert (description["probe"], description["joint_probe"]) == (summary["probe"], summary["joint_probe"])
     Encoder.load(tiny_encoder).rig.require_same(EncoderRig.of_dataset(dataset))
     field = RadianceField.load(tiny_encoder)
     assert field.sizes["classes"] == len(dataset.class_names) and field.sizes["latent"] == 8
@@ -146,7 +147,7 @@ def test_training_that_was_killed_resumes_to_the_same_bits(
     for name in (WEIGHTS, "field.safetensors"):
         assert (out / name).read_bytes() == (tiny_encoder / name).read_bytes(), name
     resumed, uninterrupted = (json.loads((run / "summary.json").read_text()) for run in (out, tiny_encoder))
-    for key in ("steps", "validation", "validation_other_cameras", "probe"):
+    for key in ("steps", "validation", "validation_other_cameras", "probe", "joint_probe"):
         assert resumed[key] == uninterrupted[key]
 
 

@@ -17,10 +17,14 @@ def test_the_command_prints_a_table_and_writes_a_summary(
     assert cli.main(arguments) == 0
     shown = capsys.readouterr().out
     summary = json.loads((tmp_path / "probe" / "summary.json").read_text())
-    assert set(summary) == {"probe", "probe_random_encoder"}
-    for name, figures in summary["probe"].items():
-        row = next(line for line in shown.splitlines() if line.startswith(name))
-        assert f"{figures['rmse_mm']:.1f}" in row and f"{summary['probe_random_encoder'][name]['rmse_mm']:.1f}" in row
+    assert set(summary) == {f"{kind}{whose}" for kind in ("probe", "joint_probe") for whose in ("", "_random_encoder")}
+    for kind, error in (("probe", "rmse_mm"), ("joint_probe", "rmse_deg")):
+        for name, figures in summary[kind].items():
+            row = next(line for line in shown.splitlines() if line.startswith(f"{name} "))
+            told = [figures, summary[f"{kind}_random_encoder"][name]]
+            error = error if error in figures else "rmse_mm"
+            for value in [each[f"{probe}{error}"] for each in told for probe in ("", "network_")]:
+                assert f"{value:.1f}" in row
 
 
 def test_a_supervised_encoder_stands_beside_as_the_ceiling(
@@ -33,7 +37,8 @@ def test_a_supervised_encoder_stands_beside_as_the_ceiling(
     assert set(ceiling) == set(summary["probe"])
     shown = capsys.readouterr().out
     row = next(line for line in shown.splitlines() if line.startswith("hand_x"))
-    assert row.split()[-1] == f"{ceiling['hand_x']['rmse_mm']:.1f}" and "supervised encoder [mm]" in shown
+    errors = (f"{ceiling['hand_x'][name]:.1f} mm" for name in ("rmse_mm", "network_rmse_mm"))
+    assert row.endswith(", ".join(errors)) and "supervised encoder" in shown
 
 
 def test_a_dataset_of_another_rig_is_refused_and_nothing_is_written(

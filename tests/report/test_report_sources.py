@@ -84,6 +84,28 @@ def test_an_agent_knows_its_encoder_and_that_its_dataset(tiny_agent: Path, tmp_p
     assert frames_of_clip(page)[1:] == (256, 512)
 
 
+def test_an_encoder_of_before_there_were_network_probes_has_its_section(
+    tiny_encoder: Path, tiny_agent: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    older, page = tmp_path / "older", tmp_path / "page.html"
+    shutil.copytree(tiny_encoder, older, ignore=shutil.ignore_patterns("checkpoints"))
+    for file in ("summary.json", "encoder.json"):
+        content = json.loads((older / file).read_text())
+        added = ("joint_probe", "joint_probe_random_encoder", "validation_other_cameras")
+        content = {key: value for key, value in content.items() if key not in added}
+        del content["validation"]["ssim"]
+        for figures in (figures for kind in content if kind.startswith("probe") for figures in content[kind].values()):
+            del figures["network_rmse_mm"], figures["network_r2"]
+        (older / file).write_text(json.dumps(content))
+    words = ["--agent", str(tiny_agent), "--encoder", str(older), "--out", str(page), "--episodes", "1"]
+    assert cli.main(["report", *words]) == 0
+    probe = json.loads((older / "summary.json").read_text())["probe"]["hand_x"]
+    row = f"<tr><td>hand_x</td><td>{probe['r2']:.3f}</td><td>{probe['rmse_mm']:.1f} mm</td><td>unknown</td>"
+    assert row in page.read_text() and "SSIM" not in page.read_text()
+    told = capsys.readouterr().out
+    assert f"hand_x {probe['rmse_mm']:.1f} mm" in told and "right_j0" not in told
+
+
 def test_an_exported_encoder_without_its_field_leaves_out_what_it_cannot_show(
     tiny_encoder: Path, tiny_agent: Path, tmp_path: Path
 ) -> None:

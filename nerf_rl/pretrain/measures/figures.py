@@ -1,8 +1,12 @@
-"""What validation found, in words."""
+"""What validation and probes found, in words."""
 
 from collections.abc import Mapping
 
 UNKNOWN = "unknown"
+ERRORS = {"rmse_mm": " mm", "rmse_deg": "°"}
+"""names of what a probe is off by, with their units"""
+NETWORK = "network_"
+"""what begins the names of a network probe's figures; those of the linear probe stand without it"""
 _LEAST_SHARE = 0.002  # of the pixels, below which a class is too small to be judged by its IoU
 _LEAST_IOU = 0.3
 
@@ -20,6 +24,19 @@ def describe_validation(figures: Mapping[str, float | None]) -> str:
         f"PSNR {figures['psnr_db']:.1f} dB, {structure}mIoU {figures['miou']:.2f}, "
         f"depth error {UNKNOWN if depth is None else f'{100 * depth:.1f} cm'}"
     )
+
+
+def describe_error(figures: Mapping[str, float], kind: str = "") -> str:
+    """Return by how much a probe is off, with its unit; that of a probe which was not fitted is unknown.
+
+    Args:
+        figures: of one thing that was probed.
+        kind: of the probe, what the names of its figures begin with: :data:`NETWORK`, or nothing for the linear one.
+    """
+    for name, unit in ERRORS.items():
+        if (error := figures.get(kind + name)) is not None:
+            return f"{error:.1f}{unit}"
+    return UNKNOWN
 
 
 def describe_iou(value: float | None) -> str:
