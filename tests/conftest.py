@@ -5,7 +5,7 @@ from pathlib import Path
 
 import lightning  # noqa: F401  before anything renders: Triton, which it loads, crashes after software OpenGL's LLVM
 import pytest
-from tiny_recipes import TINY_DATASET, TINY_PRETRAINING, TINY_TRAINING
+from tiny_recipes import TINY_DATASET, TINY_PRETRAINING, TINY_TRAINING, travelling_recipe
 
 from nerf_rl import cli  # before any test file imports mujoco, which reads the OpenGL backend's name once
 from nerf_rl.scenes.base import Scene
@@ -59,4 +59,24 @@ def tiny_agent(tiny_encoder: Path, tmp_path_factory: pytest.TempPathFactory) -> 
     """The run folder of an agent that was trained for a few steps on the tiny encoder; tests leave it as it is."""
     folder = tmp_path_factory.mktemp("tiny") / "agent"
     assert cli.main(["train-rl", "--encoder", str(tiny_encoder), "--out", str(folder), *TINY_TRAINING]) == 0
+    return folder
+
+
+@pytest.fixture(scope="session")
+def travelling_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tiny dataset of a robot that travels; tests leave it as it is."""
+    folder = tmp_path_factory.mktemp("travelling")
+    (folder / "data.yaml").write_text(travelling_recipe())
+    assert cli.main(["gen-dataset", "--config", str(folder / "data.yaml"), "--out", str(folder / "dataset")]) == 0
+    return folder / "dataset"
+
+
+@pytest.fixture(scope="session")
+def travelling_encoder(
+    travelling_dataset: Path, tiny_pretraining_recipe: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """The run folder of an encoder with cameras that follow a robot; tests leave it as it is."""
+    folder = tmp_path_factory.mktemp("travelling") / "encoder"
+    arguments = ["--config", str(tiny_pretraining_recipe), "--data", str(travelling_dataset), "--out", str(folder)]
+    assert cli.main(["pretrain", *arguments]) == 0
     return folder

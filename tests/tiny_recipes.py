@@ -39,3 +39,12 @@ seed: 5
 TINY_TRAINING = ["--env_steps", "80", "--warmup_steps", "40", "--episode_steps", "20", "--learner.batch_size", "8"]
 TINY_TRAINING += ["--evaluation_every", "40", "--evaluation_episodes", "2", "--final_evaluation_episodes", "2"]
 TINY_TRAINING += ["--replay.capacity", "200", "--network.hidden", "[16, 16]"]
+
+
+def travelling_recipe(episodes: int = 4) -> str:
+    """Return the recipe of a tiny dataset of a robot that travels; its encoder sees two of three cameras."""
+    before, _, after = TINY_DATASET.partition("rig:")
+    rest = after[after.index("validation_fraction") :]
+    recipe = before.replace("metaworld/drawer-open-v3", "gym/HalfCheetah-v5").replace("steps: 12", "steps: 30")
+    rig = "rig: {encoder: [view_0, view_1], test: [view_2], random: {count: 1}}\n"
+    return recipe.replace("episodes: 4", f"episodes: {episodes}") + rig + rest

@@ -2,15 +2,18 @@
 
 What is left out is fitted to the scene: an empty ``lookat`` is the middle of the workspace, or the origin of the body
 that a camera belongs to; a distance of 0 is the one from which the workspace fills the image. Where a robot can travel,
-the workspace goes with it, and so do cameras that look at its middle.
+the workspace goes with it, and so do cameras that look at its middle, unless ``rig.follow`` says otherwise.
 """
 
 from dataclasses import dataclass, field
 from typing import Any
 
-from nerf_rl.errors import UserError
+from nerf_rl.cameras.tracking_frame import AXES
+from nerf_rl.errors import UnknownNameError, UserError
 
 MOST_CAMERAS = 256
+AUTO, NOTHING = "auto", "none"
+"""what cameras follow: the root of a robot that can travel; nothing"""
 _LARGEST = 1e6
 
 
@@ -25,7 +28,8 @@ class CameraConfig:
     body: str = ""
     """body that the camera is fixed to, such as the wrist; lookat, position and angles are in the body's frame"""
     follow: str = ""
-    """body that the camera follows without turning; lookat and position are relative to where the body is"""
+    """body that the camera follows without turning, along rig.follow_axes; lookat and position are relative to where
+    the body is (its height, where that is not followed, to the one that it has at first)"""
     lookat: list[float] = field(default_factory=list)
     """point on the optical axis [m]; empty: the middle of the workspace, or the body's origin"""
     position: list[float] = field(default_factory=list)
@@ -193,6 +197,17 @@ class RigConfig:
     """names of cameras, rings or domes kept out of training"""
     random: RandomCameraConfig = field(default_factory=RandomCameraConfig)
     """further supervision cameras with a fresh pose in each frame"""
+    follow: str = AUTO
+    """body that cameras without a place of their own follow without turning: auto (the root of a robot that can travel,
+    else nothing), none, or the name of a body"""
+    follow_axes: str = AXES[0]
+    """along which axes cameras follow a body: xy (horizontally) or xyz"""
+
+    def __post_init__(self) -> None:
+        if self.follow_axes not in AXES:
+            raise UnknownNameError("rig.follow_axes", self.follow_axes, AXES)
+        if not self.follow:
+            raise UserError(f"rig.follow must be {AUTO}, {NOTHING} or the name of a body")
 
 
 def _check_point(label: str, name: str, point: list[float]) -> None:

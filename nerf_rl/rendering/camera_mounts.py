@@ -1,7 +1,6 @@
 """Where a camera is: fixed in the world, fixed to a body, following a body, or one of the model's own."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import NamedTuple
 
 import mujoco
@@ -11,7 +10,9 @@ from numpy import ndarray
 
 from nerf_rl.cameras.geometry import look_at, look_from, pose_from_rotation_position
 from nerf_rl.cameras.rig_config import CameraConfig
+from nerf_rl.cameras.tracking_frame import to_world
 from nerf_rl.errors import UnknownNameError, UserError
+from nerf_rl.rendering.following import Followers, Following, body_id
 from nerf_rl.scenes.workspace import Workspace
 
 Pose = Callable[[mujoco.MjData], Float[ndarray, "4 4"]]
@@ -27,9 +28,11 @@ class Mount(NamedTuple):
     moves: bool
     body: int = -1
     """body that it is fixed to or follows, or -1"""
+    following: Following | None = None
+    """what it follows without turning"""
 
 
-def mount(config: CameraConfig, model: mujoco.MjModel, workspace: Workspace) -> Mount:
+def mount(config: CameraConfig, model: mujoco.MjModel, workspace: Workspace, followers: Followers) -> Mount:
     """Return where a camera is.
 
     Raises:
@@ -37,36 +40,37 @@ def mount(config: CameraConfig, model: mujoco.MjModel, workspace: Workspace) -> 
     """
     if config.camera:
         return _of_the_model(config, model)
-    attached = config.body or config.follow
-    if workspace.floating_base and not (attached or config.lookat or config.position):
-        config = replace(config, follow=workspace.floating_base, lookat=list(workspace.from_floating_base))
-        attached = config.follow
-    lookat = np.array(config.lookat or (np.zeros(3) if attached else workspace.centre), np.float64)
+    label = f"camera '{config.name}'"
+    following = followers.of(config.follow, label) if config.follow else None
+    attached = bool(config.body or config.follow)
+    if not (attached or config.lookat or config.position):
+        following = followers.usual
+    centre = workspace.centre if following is None else following.centre
+    lookat = np.array(config.lookat or (np.zeros(3) if attached else centre), np.float64)
+    position = np.array(config.position, np.float64)
+    if config.position and np.array_equal(position, lookat):
+        raise UserError(f"{label} looks at the point where it is; change its position or its lookat")
+    if config.follow and following is not None:
+        lookat = following.point(lookat)
+        position = following.point(position) if config.position else position
     if config.position:
-        if np.array_equal(config.position, lookat):
-            raise UserError(f"camera '{config.name}' looks at the point where it is; change its position or its lookat")
-        local = look_from(np.array(config.position, np.float64), lookat)
+        local = look_from(position, lookat)
     else:
         local = look_at(lookat, config.distance or workspace.distance(config.fovy), config.azimuth, config.elevation)
-    if not attached:
+    if config.body:
+        return _on_body(body_id(model, config.body, label), local, config.fovy)
+    if following is None:
         return Mount(lambda data: local, config.fovy, moves=False)
-    body = body_id(model, attached, f"camera '{config.name}'")
-    turns = bool(config.body)
+    followed = following
+    return Mount(lambda data: to_world(local, followed.origin(data)), config.fovy, True, followed.body, followed)
 
+
+def _on_body(body: int, camera_from_body: Float[ndarray, "4 4"], fovy: float) -> Mount:
     def pose(data: mujoco.MjData) -> Float[ndarray, "4 4"]:
-        rotation = data.xmat[body].reshape(3, 3) if turns else np.eye(3)
-        return local @ pose_from_rotation_position(rotation.T, data.xpos[body])
+        rotation = data.xmat[body].reshape(3, 3)
+        return camera_from_body @ pose_from_rotation_position(rotation.T, data.xpos[body])
 
-    return Mount(pose, config.fovy, moves=True, body=body)
-
-
-def body_id(model: mujoco.MjModel, name: str, user: str) -> int:
-    """Return the id of a body; raise UnknownNameError if there is none of this name."""
-    found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
-    if found < 0:
-        names = (model.body(body).name for body in range(model.nbody))
-        raise UnknownNameError(f"body of {user}", name, filter(None, names))
-    return found
+    return Mount(pose, fovy, moves=True, body=body)
 
 
 def _of_the_model(config: CameraConfig, model: mujoco.MjModel) -> Mount:

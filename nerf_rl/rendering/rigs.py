@@ -16,8 +16,10 @@ from nerf_rl.cameras.rig_config import (
     RigConfig,
     RingConfig,
 )
+from nerf_rl.cameras.tracking_frame import TrackingFrame
 from nerf_rl.errors import UnknownNameError, UserError
-from nerf_rl.rendering.camera_mounts import Pose, body_id, mount
+from nerf_rl.rendering.camera_mounts import Mount, Pose, mount
+from nerf_rl.rendering.following import Followers, Following
 from nerf_rl.scenes.base import Scene
 from nerf_rl.scenes.workspace import Workspace
 
@@ -41,6 +43,7 @@ class Rig:
     _bodies: tuple[int, ...]
     _workspace: Workspace
     _random: "_RandomCameras"
+    _following: Following | None
 
     def poses(self, data: mujoco.MjData, rng: np.random.Generator) -> Float[ndarray, "V 4 4"]:
         """Return ``camera_from_world`` of all cameras in a state, drawing those that are random.
@@ -50,6 +53,15 @@ class Rig:
             rng: for the random cameras; untouched if there are none.
         """
         return np.stack([*(place(data) for place in self._poses), *self._random.poses(data, rng)])
+
+    @property
+    def tracking_frame(self) -> TrackingFrame | None:
+        """In which all cameras of the encoder stand still, because they follow one body; else None."""
+        return None if self._following is None else self._following.frame
+
+    def origin(self, data: mujoco.MjData) -> Float[ndarray, "3"]:
+        """Return where the tracking frame's origin is in a state with propagated positions [m]; 0 without one."""
+        return np.zeros(3) if self._following is None else self._following.origin(data)
 
     def detail(self, data: mujoco.MjData) -> float:
         """Return how many pixels a metre takes in an image where a camera is nearest to what it is there to show.
@@ -93,19 +105,29 @@ def make_rig(config: RigConfig, size: int, scene: Scene) -> Rig:
         raise UserError(f"camera names must differ: {', '.join(names)}")
 
     model, workspace = scene.model, scene.workspace()
-    mounted = [mount(camera, model, workspace) for camera in cameras]
-    random = _RandomCameras(config.random, model, workspace)
+    followers = Followers(config, model, workspace, scene.render_data())
+    mounted = [mount(camera, model, workspace, followers) for camera in cameras]
+    random = _RandomCameras(config.random, workspace, followers)
+    roles = _roles(config, groups, names)
+    encoder = [camera for camera, role in zip(mounted, roles, strict=False) if role == "encoder"]  # none is random
     fovy = [camera.fovy for camera in mounted] + [config.random.fovy] * config.random.count
     return Rig(
         names=tuple(names),
-        roles=_roles(config, groups, names),
+        roles=roles,
         intrinsics=np.stack([intrinsics_from_fovy(angle, size, size) for angle in fovy]),
         moving=any(camera.moves for camera in mounted) or config.random.count > 0,
         _poses=tuple(camera.pose for camera in mounted),
         _bodies=tuple(camera.body for camera in mounted),
         _workspace=workspace,
         _random=random,
+        _following=_followed_by_all(encoder),
     )
+
+
+def _followed_by_all(mounted: list[Mount]) -> Following | None:
+    """Return what all of these cameras follow, or None if they do not all follow the same body."""
+    frames = {camera.following and camera.following.frame for camera in mounted}
+    return mounted[0].following if len(frames) == 1 else None
 
 
 def _roles(config: RigConfig, groups: dict[str, list[CameraConfig]], names: list[str]) -> tuple[str, ...]:
@@ -133,13 +155,17 @@ def _roles(config: RigConfig, groups: dict[str, list[CameraConfig]], names: list
 class _RandomCameras:
     """Cameras with a fresh pose in each frame."""
 
-    def __init__(self, config: RandomCameraConfig, model: mujoco.MjModel, workspace: Workspace):
+    def __init__(self, config: RandomCameraConfig, workspace: Workspace, followers: Followers):
         self.count = config.count
-        follow, lookat = config.follow, config.lookat
-        if workspace.floating_base and not (follow or lookat):
-            follow, lookat = workspace.floating_base, list(workspace.from_floating_base)
-        self._body = body_id(model, follow, "random cameras") if follow else None
-        self._centre = np.array(lookat or (workspace.centre if self._body is None else np.zeros(3)), np.float64)
+        self._following = followers.of(config.follow, "random cameras") if config.follow else None
+        if not (config.follow or config.lookat):
+            self._following = followers.usual
+        lookat = np.array(config.lookat or np.zeros(3), np.float64)
+        if config.follow and self._following is not None:
+            lookat = self._following.point(lookat)
+        elif not config.lookat:
+            lookat = workspace.centre if self._following is None else self._following.centre
+        self._centre = lookat
         self._spread = workspace.radius * _SPREAD if config.lookat_spread is None else config.lookat_spread
         fitted = workspace.distance(config.fovy)
         distance = config.distance or [share * fitted for share in _DISTANCES]
@@ -147,7 +173,7 @@ class _RandomCameras:
         self.nearest = distance[0]
 
     def poses(self, data: mujoco.MjData, rng: np.random.Generator) -> list[Float[ndarray, "4 4"]]:
-        offset = np.zeros(3) if self._body is None else data.xpos[self._body]
+        offset = np.zeros(3) if self._following is None else self._following.origin(data)
         drawn = []
         for _ in range(self.count):
             centre = self._centre + rng.uniform(-self._spread, self._spread, 3)

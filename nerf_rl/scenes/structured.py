@@ -12,6 +12,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from nerf_rl.cameras.rig_config import CameraConfig, RingConfig
+from nerf_rl.cameras.tracking_frame import TrackingFrame
 from nerf_rl.scenes.base import Scene, model_digest
 from nerf_rl.scenes.body_parts import can_travel, find_parts
 from nerf_rl.scenes.state_columns import StateColumns
@@ -59,23 +60,25 @@ class StructuredScene(Scene):
         return {**super().provenance(), "model_sha256": model_digest(self.model)}
 
     def _fit_workspace(self) -> Workspace:
-        """Act at random for a few short episodes, and put a ball around what moves there."""
+        """Act at random for a few short episodes, and put a ball around what moves there.
+
+        Where a robot travels, the ball goes with it horizontally, and is large enough for its ups and downs.
+        """
         roots = (root for root in self.parts.robot if can_travel(self.model, root))
         base = next((name for root in roots if (name := self.model.body(root).name)), "")
-        centres, radii = [], np.zeros(0)
+        frame, centres, radii = TrackingFrame(base), [], np.zeros(0)
         for shown in self._random_states():
             places, radii = moving_balls(self.model, shown)
-            centres.append(places - shown.body(base).xpos if base else places)
+            centres.append(places - frame.origin(shown.body(base).xpos) if base else places)
         if not len(radii):
             return fit_workspace(self.model, self.render_data())
         ball = around(np.stack(centres), radii, _LEFT_OUT)
         if not base:
             return ball
-        shown = self.render_data()
-        x, y, z = (round(float(value), 3) for value in ball.centre)
-        return dataclasses.replace(
-            ball, centre=ball.centre + shown.body(base).xpos, floating_base=base, from_floating_base=(x, y, z)
-        )
+        start = self.render_data().body(base).xpos
+        centre = ball.centre + frame.origin(start)
+        x, y, z = (round(float(value), 3) for value in centre - start)
+        return dataclasses.replace(ball, centre=centre, floating_base=base, from_floating_base=(x, y, z))
 
     def _random_states(self) -> Iterator[mujoco.MjData]:
         """Yield states of random episodes, as long as they are finite; the scene is then as after its first reset."""

@@ -15,11 +15,11 @@ class Workspace:
     """A ball around what moves.
 
     Attributes:
-        centre: in the world [m].
+        centre: in the world, at first [m].
         radius: of the ball [m].
-        floating_base: body that may carry the ball away, such as the torso of a robot that walks; empty if there is
-            none.
-        from_floating_base: where the middle is, as seen from that body, in the world's axes [m].
+        floating_base: body that may carry the ball away horizontally, such as the torso of a robot that walks; empty if
+            there is none.
+        from_floating_base: where the middle is at first, as seen from that body, in the world's axes [m].
     """
 
     centre: Float[ndarray, "3"]
@@ -31,7 +31,8 @@ class Workspace:
         """Return where the middle is in a state whose positions are propagated, gone with the floating base [m]."""
         if not self.floating_base:
             return self.centre
-        return data.body(self.floating_base).xpos + np.array(self.from_floating_base)
+        gone = data.body(self.floating_base).xpos + np.array(self.from_floating_base)
+        return np.array([*gone[:2], self.centre[2]])
 
     def distance(self, fovy_deg: float) -> float:
         """Return from how far a camera with this field of view [degrees] sees the whole ball [m]."""

@@ -6,6 +6,7 @@ import pytest
 
 from nerf_rl.cameras.geometry import camera_position, project, projection_matrix
 from nerf_rl.cameras.rig_config import CameraConfig, DomeConfig, RandomCameraConfig, RigConfig, RingConfig
+from nerf_rl.cameras.tracking_frame import TrackingFrame
 from nerf_rl.errors import UserError
 from nerf_rl.rendering.rigs import Rig, make_rig
 from nerf_rl.scenes.base import Scene
@@ -109,6 +110,7 @@ def test_points_that_random_cameras_look_at_lie_in_the_box(blocks: Scene):
             r"unknown body of camera 'a' 'hnad' \(did you mean hand",
         ),
         (RigConfig(random=RandomCameraConfig(1, follow="hnad")), "unknown body of random cameras 'hnad'"),
+        (RigConfig(follow="hnad"), r"unknown body of rig.follow 'hnad' \(did you mean hand.*available: .*red_block"),
         (
             RigConfig([CameraConfig("a", position=[1.0, 0.0, 0.0], lookat=[1.0, 0.0, 0.0])]),
             "'a' looks at the point where it is",
@@ -132,6 +134,14 @@ def test_contradictions_are_told_in_the_users_words(config: RigConfig, words: st
 def test_settings_that_make_no_camera_are_refused(settings: dict, words: str):
     with pytest.raises(UserError, match=f"camera 'a'.*{words}"):
         CameraConfig("a", **settings)
+
+
+@pytest.mark.parametrize(
+    "settings, words", [({"follow_axes": "z"}, "available: xy, xyz"), ({"follow": ""}, "auto, none")]
+)
+def test_rigs_follow_bodies_that_have_a_name_along_axes_that_there_are(settings: dict, words: str):
+    with pytest.raises(UserError, match=words):
+        RigConfig(**settings)
 
 
 def test_rings_are_spread_evenly_and_look_at_one_point_from_one_height(blocks: Scene):
@@ -221,9 +231,14 @@ def test_a_camera_on_a_body_moves_and_turns_with_it_and_one_that_follows_only_mo
     assert not np.allclose(before[2], after[2])
 
 
-def test_what_can_leave_is_followed_by_default():
-    ant = make_scene("gym/Ant-v5")
+@pytest.fixture(scope="module")
+def ant() -> Scene:
+    return make_scene("gym/Ant-v5")
+
+
+def test_what_can_leave_is_followed_by_default(ant: Scene):
     rig = make_rig(RigConfig(random=RandomCameraConfig(2)), 32, ant)
+    assert rig.tracking_frame == TrackingFrame("torso", "xy")
     for seed in range(2):
         ant.env.reset(seed=seed)
         ant.data.qpos[:2] = [3.0 * seed, -2.0]
@@ -231,6 +246,50 @@ def test_what_can_leave_is_followed_by_default():
         torso = np.tile(shown.body("torso").xpos, (5, 1, 1))
         pixels, depth = project(projection_matrix(rig.intrinsics, poses_of(rig, ant)), torso)
         assert depth.min() > 0 and np.abs(pixels - 16).max() < 12
+
+
+def moved(rig: Rig, scene: Scene, to: list[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the cameras and the tracking frame have gone when the robot's root goes somewhere."""
+    scene.env.reset(seed=0)
+    places = []
+    for position in ([0.0, 0.0, 0.75], to):
+        scene.data.qpos[:3] = position
+        shown = scene.render_data()
+        places.append((camera_position(rig.poses(shown, np.random.default_rng(0))), rig.origin(shown)))
+    (before, first), (after, then) = places
+    return after - before, then - first
+
+
+@pytest.mark.parametrize(
+    "config, way",
+    [
+        (RigConfig(), [3.0, -2.0, 0.0]),
+        (RigConfig(follow_axes="xyz"), [3.0, -2.0, 0.5]),
+        (RigConfig([CameraConfig("a", follow="torso"), CameraConfig("b")]), [3.0, -2.0, 0.0]),
+        (RigConfig(follow="none"), [0.0, 0.0, 0.0]),
+        (RigConfig([CameraConfig("a", lookat=[0.0, 0.0, 0.5])]), [0.0, 0.0, 0.0]),
+    ],
+)
+def test_cameras_follow_along_the_axes_asked_for_and_their_frame_with_them(config: RigConfig, way: list, ant: Scene):
+    rig = make_rig(config, 32, ant)
+    cameras, frame = moved(rig, ant, [3.0, -2.0, 1.25])
+    np.testing.assert_allclose(cameras, np.tile(way, (len(cameras), 1)), atol=1e-12)
+    np.testing.assert_allclose(frame, way, atol=1e-12)
+    assert (rig.tracking_frame is None) == (not any(way))
+
+
+def test_any_body_can_be_followed(blocks: Scene):
+    """Its cameras look where they would without, as long as it stays where it is."""
+    still, following = (make_rig(RigConfig(follow=body), 32, blocks) for body in ("auto", "hand"))
+    assert still.tracking_frame is None and following.tracking_frame == TrackingFrame("hand", "xy")
+    np.testing.assert_allclose(poses_of(following, blocks), poses_of(still, blocks), atol=1e-12)
+
+
+def test_cameras_that_follow_different_bodies_have_no_frame_in_common(blocks: Scene):
+    cameras = [CameraConfig("a", follow="hand"), CameraConfig("b", follow="red_block"), CameraConfig("c")]
+    assert make_rig(RigConfig(cameras), 32, blocks).tracking_frame is None
+    one = make_rig(RigConfig(cameras, encoder=["a"]), 32, blocks)
+    assert one.tracking_frame == TrackingFrame("hand")  # the others only supervise
 
 
 def test_a_model_camera_that_is_no_pinhole_by_its_angle_is_refused(tmp_path):

@@ -11,7 +11,7 @@ from nerf_rl.datasets.export.config import ExportConfig
 from nerf_rl.datasets.export.mesh import load_open3d, write_mesh
 from nerf_rl.datasets.export.nerfstudio import write_scene
 from nerf_rl.datasets.export.seen import Seen, seen_in_frame
-from nerf_rl.datasets.storage.frames import read_frame
+from nerf_rl.datasets.storage.frames import in_world, read_frame
 from nerf_rl.datasets.storage.point_cloud import write_point_cloud
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import UnknownNameError, UserError
@@ -44,7 +44,7 @@ def export(config: ExportConfig) -> None:
     print(f"writing {len(frames)} frames as {config.format} to {out}")
     with Progress(len(frames), "frames") as progress:
         for index in frames:
-            seen = seen_in_frame(dataset, read_frame(dataset, int(index)), config.exclude, config.reach)
+            seen = seen_in_frame(dataset, in_world(read_frame(dataset, int(index))), config.exclude, config.reach)
             write[config.format](seen, out / f"frame_{index:06d}")
             progress.advance()
     write_json(out / SUMMARY, {"frames": len(frames), "format": config.format, "dataset": dataset.digest()})

@@ -54,6 +54,7 @@ def describe(config: GenDatasetConfig, context: RenderContext, plan: Plan) -> di
         },
         "joints": joints(scene.model),
         "bodies": [scene.model.body(i).name for i in range(scene.model.nbody)],
+        **({} if rig.tracking_frame is None else {"tracking_frame": rig.tracking_frame.to_json()}),
     }
 
 

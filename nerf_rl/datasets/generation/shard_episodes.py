@@ -53,7 +53,7 @@ def open_render_context(config: GenDatasetConfig) -> RenderContext:
         "action": int(np.prod(scene.env.action_space.shape or ())),
     }
     sizes = {"nq": model.nq, "nv": model.nv, "nbody": model.nbody, "nmocap": model.nmocap}
-    layout = frame_layout(len(rig.names), config.size, rig.moving, sizes, columns)
+    layout = frame_layout(len(rig.names), config.size, rig.moving, sizes, columns, rig.tracking_frame is not None)
     return RenderContext(scene, behaviour, renderer, rig, classes, layout)
 
 
@@ -171,6 +171,8 @@ def render_episode(
         if context.rig.moving:
             row["cameras/camera_from_world"] = poses
             row["cameras/projection"] = projection_matrix(context.rig.intrinsics, poses)
+        if context.rig.tracking_frame is not None:
+            row["cameras/tracking_origin"] = context.rig.origin(shown)
         faults = [
             *(f"camera {context.rig.names[view]} {fault}" for (view,), fault in view_faults(views.rgb, views.depth)),
             *(f"{name} {fault}" for name, values in row.items() for fault in array_faults(values)),

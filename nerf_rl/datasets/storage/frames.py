@@ -1,19 +1,23 @@
 """One frame of a dataset with all that its cameras saw, and the episode around it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 from numpy import ndarray
 
+from nerf_rl.cameras.tracking_frame import to_world
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.shards import SPLIT_NAMES
 
 
 @dataclass(frozen=True)
 class Frame:
-    """What V cameras saw at one step."""
+    """What V cameras saw at one step.
+
+    Poses and points are in the dataset's tracking frame, if it has one, which is the frame of its radiance fields.
+    """
 
     index: int
     """in the dataset"""
@@ -33,6 +37,8 @@ class Frame:
     """depth where nothing is hit [m]"""
     points: dict[str, tuple[float, float, float]]
     """named positions of the true state [m], such as hand and handle"""
+    origin: Float[ndarray, "3"]
+    """of the tracking frame, in the world [m]; zero without one"""
 
 
 @dataclass(frozen=True)
@@ -46,12 +52,12 @@ class EpisodeColumns:
 
 
 def read_frame(dataset: MultiViewDataset, index: int) -> Frame:
-    """Read one frame."""
+    """Read one frame, see :func:`in_world` for where it was in the world."""
 
     def row(name: str) -> Any:
         return dataset.read(name, [index])[0]
 
-    intrinsics, poses = dataset.cameras([index])
+    intrinsics, poses = dataset.tracked_cameras([index])
     return Frame(
         index,
         int(row("episode")),
@@ -64,8 +70,17 @@ def read_frame(dataset: MultiViewDataset, index: int) -> Frame:
         intrinsics,
         poses[0],
         float(dataset.manifest["far"]),
-        named_points(dataset.columns("privileged"), row("state/privileged")),
+        named_points(dataset.columns("privileged"), dataset.tracked_positions([index])[0]),
+        dataset.tracking_origins([index])[0],
     )
+
+
+def in_world(frame: Frame) -> Frame:
+    """Return a frame with poses and points in the world."""
+    x, y, z = frame.origin.tolist()
+    points = {name: (a + x, b + y, c + z) for name, (a, b, c) in frame.points.items()}
+    pose = to_world(frame.camera_from_world, frame.origin)
+    return replace(frame, camera_from_world=pose, points=points, origin=np.zeros(3))
 
 
 def named_points(names: tuple[str, ...], values: Float[ndarray, "Q"]) -> dict[str, tuple[float, float, float]]:

@@ -21,7 +21,7 @@ class PointCloud:
     """N points with colours."""
 
     points: Float32[ndarray, "N 3"]
-    """in the world [m]"""
+    """in the world, or in the tracking frame, as the poses of the frame [m]"""
     colours: UInt8[ndarray, "N 3"]
 
 

@@ -14,6 +14,7 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from nerf_rl.cameras.geometry import projection_matrix
+from nerf_rl.cameras.tracking_frame import TrackingFrame, to_tracking_frame
 from nerf_rl.datasets.storage.shard_layout import ArrayLocation, ShardError, known_arrays, locate_arrays
 from nerf_rl.datasets.storage.shards import SPLIT_NAMES, read_manifest, read_unfinished
 from nerf_rl.errors import MissingFileError, UnknownNameError, UserError
@@ -78,6 +79,14 @@ class MultiViewDataset:
     def camera_names(self) -> tuple[str, ...]:
         """Names of the cameras, in the order of the view axis."""
         return tuple(camera["name"] for camera in self.manifest["cameras"])
+
+    @property
+    def tracking_frame(self) -> TrackingFrame | None:
+        """The frame in which the encoder's cameras stand still, where they follow a body; None where it is the world.
+
+        An encoder, its radiance field and what is read from its latent are all meant in this frame.
+        """
+        return TrackingFrame.from_json(self.manifest.get("tracking_frame"))
 
     def digest(self) -> str:
         """Return a SHA-256 over the digests of all shards, which identifies the content.
@@ -178,6 +187,45 @@ class MultiViewDataset:
         if not (np.isfinite(intrinsics).all() and np.isfinite(poses).all()):
             raise UserError(f"{self.folder} is damaged: a camera's matrices are not finite; make the dataset again")
         return intrinsics, poses
+
+    def tracking_origins(self, frames: Sequence[int] | ndarray) -> Float[ndarray, "N 3"]:
+        """Return where the origin of ``tracking_frame`` is in the world [m]; zero without one.
+
+        Raises:
+            UserError: they hold values that are not finite.
+        """
+        if self.tracking_frame is None:
+            return np.zeros((len(frames), 3))
+        origins = self.read("cameras/tracking_origin", frames)
+        if not np.isfinite(origins).all():
+            raise UserError(
+                f"{self.folder} is damaged: a tracking frame's origin is not finite; make the dataset again"
+            )
+        return origins
+
+    def tracked_cameras(
+        self, frames: Sequence[int] | ndarray
+    ) -> tuple[Float[ndarray, "V 3 3"], Float[ndarray, "N V 4 4"]]:
+        """Return what :meth:`cameras` does, but with poses in ``tracking_frame``; without one they are the same."""
+        intrinsics, poses = self.cameras(frames)
+        if self.tracking_frame is None:
+            return intrinsics, poses
+        return intrinsics, to_tracking_frame(poses, self.tracking_origins(frames)[:, None])
+
+    def tracked_positions(self, frames: Sequence[int] | ndarray) -> Float[ndarray, "N Q"]:
+        """Return the privileged columns, with positions (``NAME_x``, ``NAME_y``, ``NAME_z``) in ``tracking_frame`` [m].
+
+        What the encoder's cameras see tells nothing of how far they have come. Without such a frame these are the
+        columns as they are.
+        """
+        state = self.read("state/privileged", frames)
+        if self.tracking_frame is None:
+            return state
+        state, origins = state.astype(np.float64), self.tracking_origins(frames)
+        for column, name in enumerate(self.columns("privileged")):
+            for axis, ending in enumerate(("_x", "_y", "_z")):
+                state[:, column] -= origins[:, axis] * name.endswith(ending)
+        return state
 
     def projections(self, frames: Sequence[int] | ndarray) -> Float[ndarray, "N V 3 4"]:
         """Return P = K [R | t] of each frame and camera."""

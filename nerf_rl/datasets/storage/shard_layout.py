@@ -57,6 +57,7 @@ def known_arrays(manifest: Mapping[str, Any]) -> Known:
         "cameras/intrinsics": ((views, 3, 3), "<f8"),
         "cameras/camera_from_world": ((views, 4, 4), "<f8"),
         "cameras/projection": ((views, 3, 4), "<f8"),
+        "cameras/tracking_origin": ((3,), "<f8"),
     }
 
 

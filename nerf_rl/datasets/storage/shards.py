@@ -36,7 +36,12 @@ Layout = Mapping[str, tuple[tuple[int, ...], str]]
 
 
 def frame_layout(
-    views: int, size: int, moving_cameras: bool, model_sizes: Mapping[str, int], columns: Mapping[str, int]
+    views: int,
+    size: int,
+    moving_cameras: bool,
+    model_sizes: Mapping[str, int],
+    columns: Mapping[str, int],
+    tracking_frame: bool = False,
 ) -> Layout:
     """Return the arrays of a shard that have one row a frame.
 
@@ -45,6 +50,7 @@ def frame_layout(
         moving_cameras: whether extrinsics differ from frame to frame.
         model_sizes: of the MuJoCo model: nq, nv, nbody, nmocap.
         columns: number of named columns of ``proprio``, ``privileged`` and ``action``.
+        tracking_frame: whether the encoder's cameras stand still in a frame that moves.
     """
     image = (views, size, size)
     layout = {
@@ -67,6 +73,8 @@ def frame_layout(
     if moving_cameras:
         layout["cameras/camera_from_world"] = ((views, 4, 4), "<f8")
         layout["cameras/projection"] = ((views, 3, 4), "<f8")
+    if tracking_frame:
+        layout["cameras/tracking_origin"] = ((3,), "<f8")
     return layout
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from nerf_rl.cameras.rig_config import MOST_CAMERAS
+from nerf_rl.cameras.tracking_frame import TRACKING_FRAME_STRUCTURE
 from nerf_rl.errors import MissingFileError
 from nerf_rl.files.structure import array, listing, mapping, number, one_of, optional, table, text, whole
 
@@ -42,6 +43,7 @@ MANIFEST_STRUCTURE = mapping(
         "detail": optional(number(0.0)),
         "joints": listing(mapping({"name": _NAME, "kind": one_of(*JOINT_NUMBERS)})),
         "bodies": listing(_NAME),
+        "tracking_frame": TRACKING_FRAME_STRUCTURE,
         "renderer": _NAME,
         "frames": whole(),
         "checksum": _NAME,
