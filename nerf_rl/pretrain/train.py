@@ -25,8 +25,8 @@ def pretrain(config: PretrainConfig) -> None:
     """Train an encoder on a dataset and export it into ``config.out``.
 
     Raises:
-        UserError: no dataset, too few frames, cameras that move, devices that there are not, or an output folder in
-            use.
+        UserError: no dataset, too few frames, cameras that do not move together, devices that there are not, or an
+            output folder in use.
     """
     dataset = MultiViewDataset(config.data)
     if min(len(dataset.split(name)) for name in SPLIT_NAMES) < 2:  # probes need two

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from nerf_rl.cameras import geometry as cameras
+from nerf_rl.cameras.tracking_frame import TrackingFrame
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import RigMismatchError, UserError
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
@@ -52,6 +53,32 @@ def test_a_stored_rig_is_the_same_rig():
     rig.require_same(make_rig())
     np.testing.assert_array_equal(rig.projections, make_rig().projections)
     assert rig.projections.dtype == np.float32
+
+
+def test_a_rig_that_follows_is_stored_and_told_from_one_that_stands_still_or_follows_another_body():
+    following = dataclasses.replace(make_rig(), tracking_frame=TrackingFrame("torso"))
+    EncoderRig.from_json(json.loads(json.dumps(following.to_json()))).require_same(following)
+    assert "tracking_frame" not in make_rig().to_json()  # so that earlier versions read it
+    with pytest.raises(RigMismatchError, match="cameras follow torso along xy there, stand still here"):
+        following.require_same(make_rig())
+    other = dataclasses.replace(make_rig(), tracking_frame=TrackingFrame("torso", "xyz"))
+    with pytest.raises(RigMismatchError, match="cameras follow torso along xyz there, follow torso along xy here"):
+        other.require_same(following)
+
+
+def test_the_rig_of_a_robot_that_travels_is_where_its_cameras_are_in_the_tracking_frame(travelling_dataset: Path):
+    dataset = MultiViewDataset(travelling_dataset)
+    rig = EncoderRig.of_dataset(dataset)
+    assert rig.tracking_frame == dataset.tracking_frame
+    height = float(dataset.read("state/privileged")[:, 2].mean())
+    frame = len(dataset) - 1
+    origin = dataset.tracking_origins([frame])[0]
+    for view, (here, there) in enumerate(zip(rig.projections, dataset.projections([frame])[0], strict=False)):
+        point = np.array([0.1, -0.2, height])
+        inside = cameras.project(here.astype(np.float64), point[None])[0]
+        np.testing.assert_allclose(
+            inside, cameras.project(there, (point + origin)[None])[0], atol=1e-3, err_msg=f"{view}"
+        )
 
 
 def test_the_rig_is_the_encoders_cameras(tiny_dataset: Path):

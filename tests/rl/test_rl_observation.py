@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from nerf_rl.cameras.rig_config import RigConfig
+from nerf_rl.cameras.tracking_frame import TrackingFrame, to_tracking_frame
+from nerf_rl.errors import UserError
 from nerf_rl.pretrain.config import EncoderConfig
 from nerf_rl.pretrain.model.encoder import Encoder
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
@@ -25,10 +27,11 @@ def test_the_encoder_sees_after_each_step_what_a_dataset_records(name: str, clos
     scene.env.reset(seed=1)
     rig = make_rig(RigConfig(), SIZE, scene)
     intrinsics = rig.intrinsics * np.array([closeness, closeness, 1.0])[:, None]  # to see the last substep's way
-    poses = rig.poses(scene.render_data(), np.random.default_rng(0))
-    encoder = Encoder(
-        EncoderConfig(latent=4, patch=8, channels=[8], hidden=8), EncoderRig(rig.names, intrinsics, poses, SIZE, SIZE)
-    )
+    start = scene.render_data()
+    poses = to_tracking_frame(rig.poses(start, np.random.default_rng(0)), rig.origin(start))
+    assert (rig.tracking_frame is not None) == name.startswith("gym/")
+    encoder_rig = EncoderRig(rig.names, intrinsics, poses, SIZE, SIZE, rig.tracking_frame)
+    encoder = Encoder(EncoderConfig(latent=4, patch=8, channels=[8], hidden=8), encoder_rig)
     encoder.detail = rig.detail(scene.render_data())
     env = LatentObservation(scene.env, encoder.eval())
     env.reset(seed=1)
@@ -39,7 +42,9 @@ def test_the_encoder_sees_after_each_step_what_a_dataset_records(name: str, clos
     for _ in range(6):
         assert scene.env.action_space.shape is not None
         env.step(rng.uniform(-1, 1, scene.env.action_space.shape).astype(np.float32))
-        recorded = recorder.render(scene.render_data(), intrinsics, poses).rgb
+        shown = scene.render_data()
+        poses = rig.poses(shown, rng)
+        recorded = recorder.render(shown, intrinsics, poses).rgb
         np.testing.assert_array_equal(env.last_images, recorded)
         propagated.qpos[:], propagated.qvel[:] = scene.data.qpos, scene.data.qvel
         propagated.mocap_pos[:], propagated.mocap_quat[:] = scene.data.mocap_pos, scene.data.mocap_quat
@@ -49,3 +54,34 @@ def test_the_encoder_sees_after_each_step_what_a_dataset_records(name: str, clos
     assert lagging == (0 if name.startswith("metaworld/") else 6)  # Meta-World propagates positions itself
     recorder.close()
     env.close()
+
+
+def test_cameras_go_with_the_body_that_the_artefact_names():
+    """However far the robot has come, its encoder sees it where it was; one that stands still does not see it."""
+    scene = make_scene("gym/HalfCheetah-v5")
+    rig = make_rig(RigConfig(), SIZE, scene)
+    start = scene.render_data()
+    poses = to_tracking_frame(rig.poses(start, np.random.default_rng(0)), rig.origin(start))
+    seen = []
+    for frame in (rig.tracking_frame, None):
+        encoder_rig = EncoderRig(rig.names, rig.intrinsics, poses, SIZE, SIZE, frame)
+        encoder = Encoder(EncoderConfig(latent=4, patch=8, channels=[8], hidden=8), encoder_rig)
+        env = LatentObservation(scene.env, encoder.eval())
+        env.reset(seed=0)
+        for way in (0.0, 8.0):  # whole squares of the floor's pattern
+            scene.data.qpos[0] = way
+            env.observation(np.zeros(17))
+            seen.append(env.last_images.astype(np.int64))
+        env._renderer.close()  # type: ignore[union-attr]
+    assert np.abs(seen[0] - seen[1]).mean() < 3.0 < np.abs(seen[2] - seen[3]).mean()
+    np.testing.assert_array_equal(seen[0], seen[2])
+
+
+def test_a_body_that_the_scene_does_not_have_is_told_with_those_that_it_has():
+    scene = make_scene("gym/HalfCheetah-v5")
+    rig = make_rig(RigConfig(), SIZE, scene)
+    poses = rig.poses(scene.render_data(), np.random.default_rng(0))
+    strange = EncoderRig(rig.names, rig.intrinsics, poses, SIZE, SIZE, TrackingFrame("trunk"))
+    encoder = Encoder(EncoderConfig(latent=4, patch=8, channels=[8], hidden=8), strange)
+    with pytest.raises(UserError, match=r"unknown body of the encoder's cameras 'trunk'.*available: .*torso"):
+        LatentObservation(scene.env, encoder)

@@ -28,7 +28,7 @@ class RayBatch(NamedTuple):
     projections: Float[Tensor, "B V 3 4"]
     """their matrices"""
     origins: Float[Tensor, "B R 3"]
-    """of the rays [m]"""
+    """of the rays, like all positions in the dataset's tracking frame if it has one [m]"""
     directions: Float[Tensor, "B R 3"]
     """of the rays, of unit planar depth"""
     rgb: Float[Tensor, "B R 3"]
@@ -68,7 +68,7 @@ class RayBatches(Dataset):
         frames = rng.choice(self._frames, config.scenes_per_step)[self._share]
         rgb, depth = (self._dataset.read(name, frames) for name in ("rgb", "depth"))
         semantic = self._dataset.read_labels(frames)
-        intrinsics, poses = self._dataset.cameras(frames)
+        intrinsics, poses = self._dataset.tracked_cameras(frames)
         images = rgb[:, self._encoder_views]
         projections = intrinsics[self._encoder_views] @ poses[:, self._encoder_views, :3]
 

@@ -58,7 +58,7 @@ def measure(dataset: MultiViewDataset, config: PretrainConfig) -> Statistics:
     train = dataset.split("train")
     frames = train[np.linspace(0, len(train) - 1, min(_FRAMES, len(train))).astype(int)]
     views = dataset.views("encoder", "supervision")
-    intrinsics, poses = dataset.cameras(frames)
+    intrinsics, poses = dataset.tracked_cameras(frames)
     pixels, shown = _look(dataset, frames, views)
     counts = shown.sum((1, 2, 3))
     frequency = np.maximum(counts, 1) / counts.sum()
@@ -110,7 +110,7 @@ def _middles(dataset: MultiViewDataset, frames: ndarray) -> Middles:
     views, parts = dataset.views("encoder"), []
     for first in range(0, len(frames), _FRAMES_AT_ONCE):
         chunk = frames[first : first + _FRAMES_AT_ONCE]
-        intrinsics, poses = dataset.cameras(chunk)
+        intrinsics, poses = dataset.tracked_cameras(chunk)
         depth, semantic = dataset.read("depth", chunk)[:, views], dataset.read_labels(chunk)[:, views]
         parts.append(visible_middles(depth, semantic, intrinsics[views], poses[:, views], len(dataset.class_names)))
     return Middles(*(np.concatenate(column) for column in zip(*parts, strict=True)))

@@ -48,10 +48,10 @@ class ViewBatches(Dataset):
     def __getitem__(self, step: int) -> ViewBatch:
         frames = drawn_frames(self._dataset, self._config, step)[self._share]
         images = self._dataset.read("rgb", frames)[:, self._views]
-        intrinsics, poses = self._dataset.cameras(frames)
+        intrinsics, poses = self._dataset.tracked_cameras(frames)
         projections = intrinsics[self._views] @ poses[:, self._views, :3]
         depth = (self._dataset.read("depth", frames)[:, self._views] - self._near) / (self._far - self._near)
-        state = self._dataset.read("state/privileged", frames)[:, self._columns]
+        state = self._dataset.tracked_positions(frames)[:, self._columns]
         return ViewBatch(
             torch.from_numpy(np.ascontiguousarray(images)),
             torch.from_numpy(projections.astype(np.float32)),
@@ -62,7 +62,7 @@ class ViewBatches(Dataset):
 
 def standardised_state(dataset: MultiViewDataset) -> tuple[list[int], np.ndarray, np.ndarray]:
     """Return which columns of the true state vary over training frames, and their means and deviations."""
-    state = dataset.read("state/privileged", dataset.split("train")).astype(np.float64)
+    state = dataset.tracked_positions(dataset.split("train")).astype(np.float64)
     deviation = state.std(0)
     columns = np.flatnonzero(deviation > _LEAST_DEVIATION)
     return columns.tolist(), state.mean(0)[columns], deviation[columns]

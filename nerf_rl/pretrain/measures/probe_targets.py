@@ -31,7 +31,7 @@ class Target(NamedTuple):
 
 def column_targets(dataset: MultiViewDataset, frames: ndarray) -> list[Target]:
     """Return the named columns of the privileged state [m]."""
-    state = dataset.read("state/privileged", frames).astype(np.float64)
+    state = dataset.tracked_positions(frames).astype(np.float64)
     return [_length(name, state[:, i]) for i, name in enumerate(dataset.columns("privileged"))]
 
 

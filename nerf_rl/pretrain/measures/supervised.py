@@ -35,7 +35,7 @@ def train_supervised(
         seed: of its weights and of the order of frames.
     """
     frames, views = dataset.split("train"), dataset.views("encoder")
-    state = torch.from_numpy(dataset.read("state/privileged", frames)[:, columns]).float()
+    state = torch.from_numpy(dataset.tracked_positions(frames)[:, columns]).float()
     target = (state - state.mean(0)) / state.std(0)
     rng = np.random.default_rng(seed)
     with torch.random.fork_rng():

@@ -78,7 +78,7 @@ class Encoder(nn.Module):
 
         Args:
             images: RGB.
-            projections: P = K [R | t] of each view [pixels, m].
+            projections: P = K [R | t] of each view [pixels, m], in the tracking frame if the rig follows a body.
         """
         batch, views = images.shape[:2]
         pixels = images.flatten(0, 1).permute(0, 3, 1, 2).to(projections.dtype) / 255.0 - 0.5

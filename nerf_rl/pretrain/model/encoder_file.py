@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from nerf_rl.cameras.rig_config import MOST_CAMERAS
+from nerf_rl.cameras.tracking_frame import TRACKING_FRAME_STRUCTURE
 from nerf_rl.datasets.storage.stored_manifest import LARGEST_IMAGE
 from nerf_rl.errors import MissingFileError
 from nerf_rl.files.json_files import read_json
@@ -35,7 +36,8 @@ _STRUCTURE = mapping(
                 "camera_from_world": array(-1, 4, 4),
                 "height": whole(1, LARGEST_IMAGE),
                 "width": whole(1, LARGEST_IMAGE),
-            }
+            },
+            {"tracking_frame": TRACKING_FRAME_STRUCTURE},
         ),
         "scene": mapping({"name": text(), "quality": one_of("fast", "full")}, {"detail": optional(number(0.0))}),
     },

@@ -8,22 +8,26 @@ from jaxtyping import Float, Float32
 from numpy import ndarray
 
 from nerf_rl.cameras.geometry import projection_matrix
+from nerf_rl.cameras.tracking_frame import TrackingFrame
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import RigMismatchError, UserError
 
 
 @dataclass(frozen=True)
 class EncoderRig:
-    """Fixed cameras with their resolution."""
+    """Cameras with their resolution, which stand still in the world or all follow one body without turning."""
 
     names: tuple[str, ...]
     intrinsics: Float[ndarray, "V 3 3"]
     """K [pixels]"""
     camera_from_world: Float[ndarray, "V 4 4"]
+    """poses, in the tracking frame if the cameras follow a body; there the radiance field lives as well"""
     height: int
     """of an image [pixels]"""
     width: int
     """of an image [pixels]"""
+    tracking_frame: TrackingFrame | None = None
+    """which goes with the body that the cameras follow; None if they stand still in the world"""
 
     @property
     def projections(self) -> Float32[ndarray, "V 3 4"]:
@@ -36,6 +40,10 @@ class EncoderRig:
             mine, theirs = getattr(self, what), getattr(other, what)
             if mine != theirs:
                 raise RigMismatchError(f"{what} {mine} there, {theirs} here")
+        if self.tracking_frame != other.tracking_frame:
+            raise RigMismatchError(
+                f"cameras {_follow(self.tracking_frame)} there, {_follow(other.tracking_frame)} here"
+            )
         for i, name in enumerate(self.names):
             for what in ("intrinsics", "camera_from_world"):
                 if not np.allclose(getattr(self, what)[i], getattr(other, what)[i], atol=1e-6):
@@ -49,25 +57,34 @@ class EncoderRig:
             "camera_from_world": self.camera_from_world.tolist(),
             "height": self.height,
             "width": self.width,
+            **({} if self.tracking_frame is None else {"tracking_frame": self.tracking_frame.to_json()}),
         }
 
     @classmethod
     def from_json(cls, content: dict[str, Any]) -> "EncoderRig":
         """Return the rig that ``encoder.json`` describes."""
         intrinsics, poses = np.array(content["intrinsics"]), np.array(content["camera_from_world"])
-        return cls(tuple(content["names"]), intrinsics, poses, content["height"], content["width"])
+        frame = TrackingFrame.from_json(content.get("tracking_frame"))
+        return cls(tuple(content["names"]), intrinsics, poses, content["height"], content["width"], frame)
 
     @classmethod
     def of_dataset(cls, dataset: MultiViewDataset) -> "EncoderRig":
         """Return the encoder's cameras in a dataset.
 
         Raises:
-            UserError: they move; an encoder needs fixed cameras.
+            UserError: they move otherwise than all with one body.
         """
         views = dataset.views("encoder")
-        intrinsics, poses = dataset.cameras(np.array([0, len(dataset) - 1]))
+        intrinsics, poses = dataset.tracked_cameras(np.array([0, len(dataset) - 1]))
         if not np.allclose(poses[0, views], poses[1, views]):
-            raise UserError(f"{dataset.folder}: the encoder's cameras move, but an encoder needs fixed ones")
+            raise UserError(
+                f"{dataset.folder}: the encoder's cameras move, but an encoder needs fixed ones, or ones that all "
+                "follow the same body without turning"
+            )
         names = tuple(dataset.camera_names[view] for view in views)
         size = dataset.manifest["height"], dataset.manifest["width"]
-        return cls(names, intrinsics[views], poses[0, views], *size)
+        return cls(names, intrinsics[views], poses[0, views], *size, dataset.tracking_frame)
+
+
+def _follow(frame: TrackingFrame | None) -> str:
+    return "stand still" if frame is None else f"follow {frame.body} along {frame.axes}"

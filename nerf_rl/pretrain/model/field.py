@@ -22,7 +22,11 @@ _DENSITY_SCALE = 10.0  # so that the network's outputs of order one are both emp
 
 @dataclass(frozen=True)
 class FieldBounds:
-    """Where the field lives: sampled depths, and the box that is mapped to the unit cube."""
+    """Where the field lives: sampled depths, and the box that is mapped to the unit cube.
+
+    The box stands in the world, or in the tracking frame of a dataset whose encoder's cameras follow a body
+    (:mod:`nerf_rl.cameras.tracking_frame`); there it travels with the body.
+    """
 
     near: float
     """nearest planar depth [m]"""

@@ -12,7 +12,9 @@ from gymnasium.spaces import Box
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
+from nerf_rl.cameras.tracking_frame import to_world
 from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.rendering.following import body_id
 from nerf_rl.rendering.renderer import MultiViewRenderer
 from nerf_rl.rl.environments.encoder_match import warn_of_other_rendering
 from nerf_rl.scenes.render_data import RenderData
@@ -21,8 +23,8 @@ from nerf_rl.scenes.render_data import RenderData
 class LatentObservation(gymnasium.ObservationWrapper):
     """Replaces an environment's observation by [standardised latent, proprioception], float32.
 
-    The cameras, their resolution and the rendering quality are those of the encoder's artefact, and they see the state
-    as a dataset shows it: nothing else is needed.
+    The cameras, their resolution, the body that they follow if they do, and the rendering quality are those of the
+    encoder's artefact, and they see the state as a dataset shows it: nothing else is needed.
 
         encoder = Encoder.load("runs/encoder")
         env = LatentObservation(env, encoder, proprio=lambda observation: observation[:4])
@@ -36,6 +38,9 @@ class LatentObservation(gymnasium.ObservationWrapper):
     Attributes:
         last_images: what the cameras saw at the last observation [V, H, W, 3], uint8.
         last_latent: its latent [Z], as the encoder gives it (not standardised).
+
+    Raises:
+        UserError: the encoder's cameras follow a body that the environment's model does not have.
     """
 
     last_images: UInt8[ndarray, "V H W 3"]
@@ -53,6 +58,11 @@ class LatentObservation(gymnasium.ObservationWrapper):
         if device is not None:
             self.encoder.to(device)
         self._proprio = proprio
+        frame = self.encoder.rig.tracking_frame
+        self._followed = -1
+        if frame is not None:
+            simulation: Any = env.unwrapped
+            self._followed = body_id(simulation.model, frame.body, "the encoder's cameras")
         self._renderer: MultiViewRenderer | None = None
         self._render_data: RenderData | None = None
         box = env.observation_space
@@ -101,4 +111,7 @@ class LatentObservation(gymnasium.ObservationWrapper):
         renderer, rig = self._make_renderer(), self.encoder.rig
         simulation: Any = self.env.unwrapped
         assert self._render_data is not None
-        return renderer.render_rgb(self._render_data.of(simulation.data), rig.intrinsics, rig.camera_from_world)
+        data, poses = self._render_data.of(simulation.data), rig.camera_from_world
+        if rig.tracking_frame is not None:
+            poses = to_world(poses, rig.tracking_frame.origin(data.xpos[self._followed]))
+        return renderer.render_rgb(data, rig.intrinsics, poses)

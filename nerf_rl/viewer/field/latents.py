@@ -46,7 +46,7 @@ class EncodedDataset:
         """Fit a linear probe on evenly spread training frames."""
         train = self.dataset.split("train")
         chosen = train[np.unique(np.linspace(0, len(train) - 1, min(frames, len(train))).astype(int))]
-        targets = self.dataset.read("state/privileged", chosen).astype(np.float64)
+        targets = self.dataset.tracked_positions(chosen).astype(np.float64)
         names = self.dataset.columns("privileged")
         varying = [i for i in range(len(names)) if targets[:, i].std() > 1e-4]
         latents = encode_frames(self.encoder, self.dataset, chosen)
