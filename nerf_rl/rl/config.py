@@ -193,6 +193,9 @@ class TrainRLConfig:
     """run folder of pretrain, exported encoder or Lightning .ckpt; none observes the true state"""
     scene: str = "metaworld/drawer-open-v3"
     """metaworld/TASK, gym/ID, gym/MODULE:ID or panda/reach (extra panda); with an encoder, the encoder's scene"""
+    observe: list[str] = field(default_factory=list)
+    """columns of the true state that an agent with an encoder sees as well, such as a goal that no camera shows: names
+    (goal_x) or groups (goal) of the scene's privileged columns, desired_goal or achieved_goal of a goal environment"""
     panda: PandaReachConfig = field(default_factory=PandaReachConfig)
     """panda/reach only"""
     env_steps: int = 50_000
@@ -257,6 +260,10 @@ class TrainRLConfig:
     def __post_init__(self) -> None:
         if ":" not in self.algo:
             _one_of("algorithm", self.algo, ALGORITHMS)
+        if self.observe and self.encoder == NO_ENCODER:
+            raise UserError(
+                "--observe adds to what an encoder sees; without --encoder the whole true state is observed"
+            )
         check_loggers(self.loggers)
         counts = "env_steps action_repeat episode_steps envs evaluation_every evaluation_episodes"
         for name in f"{counts} final_evaluation_episodes checkpoint_every log_every threads".split():

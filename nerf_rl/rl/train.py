@@ -34,8 +34,8 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
         on_evaluation: called with each evaluation; what it raises ends the training. Not with several seeds.
 
     Raises:
-        UserError: an unknown scene, an encoder that is missing or of another scene, an existing run, a full disk, an
-            extra that is not installed, a device that is not there.
+        UserError: an unknown scene, an encoder that is missing or of another scene, no such columns to observe, an
+            existing run, a full disk, an extra that is not installed, a device that is not there.
         FailureError: some of several seeds failed.
     """
     encoder = None if config.encoder == NO_ENCODER else str(Path(config.encoder).resolve())
@@ -57,8 +57,10 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
 
     from nerf_rl.rl.environments.make import EnvSpec, check_scene, make_goal_task, make_vector_env
 
-    spec = EnvSpec(config.scene, encoder, config.action_repeat, config.episode_steps, config.panda)
-    proprio_names = check_scene(spec)
+    spec = EnvSpec(
+        config.scene, encoder, config.action_repeat, config.episode_steps, config.panda, tuple(config.observe)
+    )
+    beside_latent = check_scene(spec)
     if config.replay.hindsight and encoder is not None:
         raise UserError("--replay.hindsight exchanges goals in the true state; leave out --encoder or hindsight")
     goal_task = make_goal_task(spec) if config.replay.hindsight else None
@@ -75,7 +77,7 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
         if encoder is not None:
             warn_of_workers_rendering(encoder, envs)
         sizes = (_size(envs.single_observation_space), _size(envs.single_action_space))
-        record = RunRecord(config, spec, sizes, list(proprio_names if encoder else ()), on_evaluation)
+        record = RunRecord(config, spec, sizes, list(beside_latent if encoder else ()), on_evaluation)
         if is_baseline:
             return _train_baseline(config, spec, envs, record)
         return _train(config, goal_task, envs, record)

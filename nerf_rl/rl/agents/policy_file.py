@@ -18,7 +18,10 @@ _STRUCTURE = mapping(
         "version": whole(),
         "env": mapping(
             {"scene": text(), "encoder": optional(text()), "action_repeat": whole(1), "episode_steps": whole(1)},
-            {"panda": mapping({}, dict.fromkeys(("control", "reward", "observation"), text()))},
+            {
+                "panda": mapping({}, dict.fromkeys(("control", "reward", "observation"), text())),
+                "observe": listing(text()),
+            },
         ),
         "network": mapping({}, others=True),
         "observation_size": _SIZE,

@@ -17,6 +17,7 @@ from nerf_rl.machine.gl import use_one_software_thread
 from nerf_rl.rl.config import PandaReachConfig
 from nerf_rl.rl.environments.encoder_match import compare_scenes
 from nerf_rl.rl.environments.goals import DictGoalTask, GoalTask
+from nerf_rl.rl.environments.observed_columns import ObservedColumns
 from nerf_rl.rl.environments.panda_reach import PANDA_REACH, PandaReach, reach_task
 from nerf_rl.rl.environments.wrappers import (
     ActionRepeat,
@@ -43,11 +44,14 @@ class EnvSpec:
     """environment steps after which an episode is truncated"""
     panda: PandaReachConfig = field(default_factory=PandaReachConfig)
     """panda/reach only"""
+    observe: tuple[str, ...] = ()
+    """columns of the true state, or groups of them, that are observed beside latent and proprioception"""
 
 
 def spec_from_json(content: dict[str, Any]) -> EnvSpec:
     """Return the specification behind ``dataclasses.asdict(spec)``."""
-    return EnvSpec(**{**content, "panda": PandaReachConfig(**content.get("panda", {}))})
+    panda, observe = PandaReachConfig(**content.get("panda", {})), tuple(content.get("observe", ()))
+    return EnvSpec(**{**content, "panda": panda, "observe": observe})
 
 
 def make_env(spec: EnvSpec, encoder: Any = None, device: str = "cpu") -> tuple[gymnasium.Env, Scene | None]:
@@ -60,7 +64,7 @@ def make_env(spec: EnvSpec, encoder: Any = None, device: str = "cpu") -> tuple[g
 
     Raises:
         UserError: no such scene, one without a reward, observations or actions that are no vectors, an episode longer
-            than Meta-World allows, an encoder of another scene.
+            than Meta-World allows, an encoder of another scene, no such columns to observe.
     """
     use_one_software_thread()
     scene = None if spec.scene == PANDA_REACH else _make_scene(spec)
@@ -72,7 +76,12 @@ def make_env(spec: EnvSpec, encoder: Any = None, device: str = "cpu") -> tuple[g
         LatentObservation,  # it loads torch, which a state worker does without
     )
 
-    latent = LatentObservation(env, encoder or spec.encoder, scene.proprio, device)
+    proprio, observed = scene.proprio, ObservedColumns(scene, spec.observe)
+
+    def beside_latent(observation: Any) -> ndarray:
+        return np.concatenate([proprio(observation), observed(observation)])
+
+    latent = LatentObservation(env, encoder or spec.encoder, beside_latent, device)
     compare_scenes(latent.encoder.scene, spec.scene)
     return latent, scene
 
@@ -86,10 +95,10 @@ def make_goal_task(spec: EnvSpec) -> GoalTask | None:
 
 
 def check_scene(spec: EnvSpec) -> tuple[str, ...]:
-    """Return the names of a scene's proprioception; raise UserError if the scene or its episode cannot be."""
+    """Return the names of what is observed beside a latent; raise UserError if scene, episode or columns cannot be."""
     env, scene = make_env(dataclasses.replace(spec, encoder=None))
     env.close()
-    return () if scene is None else scene.proprio_names
+    return () if scene is None else (*scene.proprio_names, *ObservedColumns(scene, spec.observe).names)
 
 
 def make_vector_env(spec: EnvSpec, count: int, device: str = "cpu") -> AsyncVectorEnv:

@@ -32,7 +32,8 @@ class LatentObservation(gymnasium.ObservationWrapper):
     Args:
         env: any environment whose ``unwrapped`` has MuJoCo's ``model`` and ``data``.
         encoder: a loaded encoder, or where to load it from.
-        proprio: from the environment's observation to what the robot knows of itself [P]; None for the latent alone.
+        proprio: from the environment's observation to what is observed beside the latent [P], such as what the robot
+            knows of itself; None for the latent alone.
         device: to move the encoder to; None leaves it where it is. Observations are in the CPU's memory either way.
 
     Attributes:
@@ -65,9 +66,7 @@ class LatentObservation(gymnasium.ObservationWrapper):
             self._followed = body_id(simulation.model, frame.body, "the encoder's cameras")
         self._renderer: MultiViewRenderer | None = None
         self._render_data: RenderData | None = None
-        box = env.observation_space
-        example = np.zeros(box.shape or (), box.dtype)
-        size = self.encoder.latent_size + (0 if proprio is None else len(proprio(example)))
+        size = self.encoder.latent_size + (0 if proprio is None else len(proprio(env.observation_space.sample())))
         self.observation_space = Box(-np.inf, np.inf, (size,), np.float32)
 
     def observation(self, observation: Any) -> Float[ndarray, "O"]:
