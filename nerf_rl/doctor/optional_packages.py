@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from nerf_rl.doctor.finding import Finding, shortened
 
 EXTRAS = {
+    "lerobot": ("av", "av"),
     "panda": ("panda_gym", "panda-gym"),
     "sb3": ("stable_baselines3", "stable-baselines3"),
     "ray": ("ray", "ray"),

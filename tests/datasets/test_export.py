@@ -124,7 +124,7 @@ def test_a_meshs_surface_is_where_the_depth_says(dataset: MultiViewDataset, tmp_
         (["--frames", "[99]"], "has no frame 99; available: 0 to 11"),
         (["--episodes", "[7]"], "has no episode 7; available: 0 to 3"),
         (["--exclude", "[robto]"], "unknown class 'robto' (did you mean robot?"),
-        (["--format", "usd"], "unknown format 'usd'; available: mesh, nerfstudio, pointcloud"),
+        (["--format", "usd"], "unknown format 'usd'; available: lerobot, mesh, nerfstudio, pointcloud"),
         (["--voxel", "0"], "--voxel must be positive"),
     ],
 )

@@ -1,4 +1,4 @@
-"""``nerf-rl export``: choose frames and write each in the format asked for."""
+"""``nerf-rl export``: choose frames or episodes and write them in the format asked for."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -8,6 +8,10 @@ from jaxtyping import Int
 from numpy import ndarray
 
 from nerf_rl.datasets.export.config import ExportConfig
+from nerf_rl.datasets.export.lerobot.plan import make_plan
+from nerf_rl.datasets.export.lerobot.tables import load_parquet
+from nerf_rl.datasets.export.lerobot.videos import load_av
+from nerf_rl.datasets.export.lerobot.write import write_dataset
 from nerf_rl.datasets.export.mesh import load_open3d, write_mesh
 from nerf_rl.datasets.export.nerfstudio import write_scene
 from nerf_rl.datasets.export.seen import Seen, seen_in_frame
@@ -21,33 +25,58 @@ from nerf_rl.progress import Progress
 
 
 def export(config: ExportConfig) -> None:
-    """Write frames of a dataset to ``config.out``; the formats are described in datasets/README.md.
+    """Write what was chosen of a dataset to ``config.out``; the formats are described in datasets/README.md.
 
     Raises:
-        UserError: no such dataset, frame, episode or class; the output folder is in use; Open3D is missing.
+        UserError: no such dataset, frame, episode, class or camera; the output folder is in use; an extra is missing.
     """
     dataset, out = MultiViewDataset(config.dataset), Path(config.out)
     check_output(out, config.overwrite)
+    write = _lerobot(dataset, config) if config.format == "lerobot" else _frame_by_frame(dataset, config)
+    prepare_output(out, config.overwrite)
+    write_provenance(out, "export", config)
+    written = write(out)
+    write_json(out / SUMMARY, {**written, "format": config.format, "dataset": dataset.digest()})
+
+
+def _lerobot(dataset: MultiViewDataset, config: ExportConfig) -> Callable[[Path], dict[str, int]]:
+    """Check what is asked for, and return what writes it and tells how much it was."""
+    load_parquet()
+    load_av()
+    plan = make_plan(dataset, config)
+
+    def write(out: Path) -> dict[str, int]:
+        print(f"writing {plan.frames} frames of {len(plan.episodes)} episodes as {config.format} to {out}")
+        write_dataset(out, plan)
+        return {"frames": plan.frames, "episodes": len(plan.episodes)}
+
+    return write
+
+
+def _frame_by_frame(dataset: MultiViewDataset, config: ExportConfig) -> Callable[[Path], dict[str, int]]:
+    """Check what is asked for, and return what writes it and tells how much it was."""
     frames = chosen_frames(dataset, config.frames, config.episodes)
     for name in config.exclude:
         if name not in dataset.class_names:
             raise UnknownNameError("class", name, dataset.class_names)
     if config.format == "mesh":
         load_open3d()
-    write: dict[str, Callable[[Seen, Path], None]] = {
+    write_frame: dict[str, Callable[[Seen, Path], None]] = {
         "nerfstudio": lambda seen, path: write_scene(path, seen, dataset, bool(config.exclude)),
         "pointcloud": lambda seen, path: write_point_cloud(path.with_suffix(".ply"), seen.cloud()),
         "mesh": lambda seen, path: write_mesh(path.with_suffix(".ply"), seen, config.voxel),
     }
-    prepare_output(out, config.overwrite)
-    write_provenance(out, "export", config)
-    print(f"writing {len(frames)} frames as {config.format} to {out}")
-    with Progress(len(frames), "frames") as progress:
-        for index in frames:
-            seen = seen_in_frame(dataset, in_world(read_frame(dataset, int(index))), config.exclude, config.reach)
-            write[config.format](seen, out / f"frame_{index:06d}")
-            progress.advance()
-    write_json(out / SUMMARY, {"frames": len(frames), "format": config.format, "dataset": dataset.digest()})
+
+    def write(out: Path) -> dict[str, int]:
+        print(f"writing {len(frames)} frames as {config.format} to {out}")
+        with Progress(len(frames), "frames") as progress:
+            for index in frames:
+                seen = seen_in_frame(dataset, in_world(read_frame(dataset, int(index))), config.exclude, config.reach)
+                write_frame[config.format](seen, out / f"frame_{index:06d}")
+                progress.advance()
+        return {"frames": len(frames)}
+
+    return write
 
 
 def chosen_frames(dataset: MultiViewDataset, frames: list[int], episodes: list[int]) -> Int[ndarray, "N"]:

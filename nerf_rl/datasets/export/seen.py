@@ -52,6 +52,11 @@ def seen_in_frame(dataset: MultiViewDataset, frame: Frame, exclude: Collection[s
         exclude: names of the classes that do not count.
         reach: planar depth beyond which nothing counts [m]; 0 for whatever was hit.
     """
-    hit = _FAR * float(dataset.manifest["far"])
+    hit = farthest_hit(dataset)
     classes = tuple(i for i, name in enumerate(dataset.class_names) if name not in exclude)
     return Seen(frame, min(reach, hit) if reach > 0 else hit, classes)
+
+
+def farthest_hit(dataset: MultiViewDataset) -> float:
+    """Return the planar depth from which on nothing was hit [m]."""
+    return _FAR * float(dataset.manifest["far"])
