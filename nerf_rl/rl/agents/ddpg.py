@@ -27,8 +27,8 @@ def soft_update(network: nn.Module, target: nn.Module, tau: float) -> None:
     """Move the target's parameters by the share ``tau`` towards the network's; copy buffers (batch statistics)."""
     for parameter, source in zip(target.parameters(), network.parameters(), strict=True):
         parameter.lerp_(source, tau)
-    for buffer, source in zip(target.buffers(), network.buffers(), strict=True):
-        buffer.copy_(source)
+    for buffer, statistics in zip(target.buffers(), network.buffers(), strict=True):
+        buffer.copy_(statistics)
 
 
 class DDPG:
