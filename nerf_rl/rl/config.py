@@ -16,6 +16,8 @@ NO_ENCODER = "none"
 BASELINES = ("ppo", "sb3-ddpg")
 ALGORITHMS = ("ddpg", *BASELINES)
 
+NO_CONTROL, BLIND, RANDOM = "none", "blind", "random"
+CONTROLS = (NO_CONTROL, BLIND, RANDOM)
 HOLD_KINDS = ("corner", "anywhere")
 
 
@@ -193,6 +195,9 @@ class TrainRLConfig:
     """run folder of pretrain, exported encoder or Lightning .ckpt; none observes the true state"""
     scene: str = "metaworld/drawer-open-v3"
     """metaworld/TASK, gym/ID, gym/MODULE:ID or panda/reach (extra panda); with an encoder, the encoder's scene"""
+    control: str = NO_CONTROL
+    """blind (latents are zero) or random (an encoder that nobody trained) in place of the encoder, with everything else
+    the same: what stands beside a success rate"""
     observe: list[str] = field(default_factory=list)
     """columns of the true state that an agent with an encoder sees as well, such as a goal that no camera shows: names
     (goal_x) or groups (goal) of the scene's privileged columns, desired_goal or achieved_goal of a goal environment"""
@@ -260,6 +265,9 @@ class TrainRLConfig:
     def __post_init__(self) -> None:
         if ":" not in self.algo:
             _one_of("algorithm", self.algo, ALGORITHMS)
+        _one_of("control", self.control, CONTROLS)
+        if self.control != NO_CONTROL and self.encoder == NO_ENCODER:
+            raise UserError(f"--control {self.control} is for agents with an encoder; give the one to compare with")
         if self.observe and self.encoder == NO_ENCODER:
             raise UserError(
                 "--observe adds to what an encoder sees; without --encoder the whole true state is observed"

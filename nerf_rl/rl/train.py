@@ -57,8 +57,9 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
 
     from nerf_rl.rl.environments.make import EnvSpec, check_scene, make_goal_task, make_vector_env
 
+    observe = tuple(config.observe)
     spec = EnvSpec(
-        config.scene, encoder, config.action_repeat, config.episode_steps, config.panda, tuple(config.observe)
+        config.scene, encoder, config.action_repeat, config.episode_steps, config.panda, observe, config.control
     )
     beside_latent = check_scene(spec)
     if config.replay.hindsight and encoder is not None:

@@ -8,6 +8,7 @@ from nerf_rl.errors import MissingFileError, UserError
 from nerf_rl.files.json_files import read_json
 from nerf_rl.files.structure import flag, listing, mapping, number, one_of, optional, text, whole
 from nerf_rl.pretrain.model.encoder_file import WEIGHTS, is_checkpoint, read_description
+from nerf_rl.rl.config import CONTROLS
 
 POLICY_VERSION = 2
 POLICY_WEIGHTS, POLICY_DESCRIPTION = "policy.safetensors", "policy.json"
@@ -21,6 +22,7 @@ _STRUCTURE = mapping(
             {
                 "panda": mapping({}, dict.fromkeys(("control", "reward", "observation"), text())),
                 "observe": listing(text()),
+                "control": one_of(*CONTROLS),
             },
         ),
         "network": mapping({}, others=True),

@@ -5,6 +5,7 @@ import functools
 import multiprocessing
 import signal
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -14,7 +15,7 @@ from numpy import ndarray
 
 from nerf_rl.errors import UserError
 from nerf_rl.machine.gl import use_one_software_thread
-from nerf_rl.rl.config import PandaReachConfig
+from nerf_rl.rl.config import BLIND, NO_CONTROL, RANDOM, PandaReachConfig
 from nerf_rl.rl.environments.encoder_match import compare_scenes
 from nerf_rl.rl.environments.goals import DictGoalTask, GoalTask
 from nerf_rl.rl.environments.observed_columns import ObservedColumns
@@ -46,6 +47,8 @@ class EnvSpec:
     """panda/reach only"""
     observe: tuple[str, ...] = ()
     """columns of the true state, or groups of them, that are observed beside latent and proprioception"""
+    control: str = NO_CONTROL
+    """none, blind or random: eyes that see nothing or that nobody trained, with everything else the same"""
 
 
 def spec_from_json(content: dict[str, Any]) -> EnvSpec:
@@ -72,17 +75,22 @@ def make_env(spec: EnvSpec, encoder: Any = None, device: str = "cpu") -> tuple[g
     env = ActionRepeat(gymnasium.wrappers.TimeLimit(env, spec.episode_steps), spec.action_repeat)
     if scene is None or spec.encoder is None:
         return StateObservation(with_flat_observation(env)), scene
-    from nerf_rl.rl.environments.observation import (
-        LatentObservation,  # it loads torch, which a state worker does without
-    )
+    # these load torch, which a state worker does without
+    from nerf_rl.pretrain.model.encoder import Encoder
+    from nerf_rl.rl.environments.controls import standardise_by_looking, untrained_copy
+    from nerf_rl.rl.environments.observation import LatentObservation
 
     proprio, observed = scene.proprio, ObservedColumns(scene, spec.observe)
 
     def beside_latent(observation: Any) -> ndarray:
         return np.concatenate([proprio(observation), observed(observation)])
 
-    latent = LatentObservation(env, encoder or spec.encoder, beside_latent, device)
-    compare_scenes(latent.encoder.scene, spec.scene)
+    eyes = encoder or Encoder.load(Path(spec.encoder))
+    compare_scenes(eyes.scene, spec.scene)
+    eyes = untrained_copy(eyes) if spec.control == RANDOM else eyes
+    latent = LatentObservation(env, eyes, beside_latent, device, spec.control == BLIND)
+    if spec.control == RANDOM:
+        standardise_by_looking(latent)
     return latent, scene
 
 

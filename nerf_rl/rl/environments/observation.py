@@ -11,6 +11,7 @@ import torch
 from gymnasium.spaces import Box
 from jaxtyping import Float, UInt8
 from numpy import ndarray
+from torch import Tensor
 
 from nerf_rl.cameras.tracking_frame import to_world
 from nerf_rl.pretrain.model.encoder import Encoder
@@ -35,6 +36,7 @@ class LatentObservation(gymnasium.ObservationWrapper):
         proprio: from the environment's observation to what is observed beside the latent [P], such as what the robot
             knows of itself; None for the latent alone.
         device: to move the encoder to; None leaves it where it is. Observations are in the CPU's memory either way.
+        blind: see nothing: latents are zero, and so are images.
 
     Attributes:
         last_images: what the cameras saw at the last observation [V, H, W, 3], uint8.
@@ -53,8 +55,10 @@ class LatentObservation(gymnasium.ObservationWrapper):
         encoder: Encoder | str | Path,
         proprio: Callable[[Any], ndarray] | None = None,
         device: torch.device | str | None = None,
+        blind: bool = False,
     ):
         super().__init__(env)
+        self._blind = blind
         self.encoder = Encoder.load(Path(encoder)) if isinstance(encoder, (str, Path)) else encoder
         if device is not None:
             self.encoder.to(device)
@@ -71,15 +75,23 @@ class LatentObservation(gymnasium.ObservationWrapper):
 
     def observation(self, observation: Any) -> Float[ndarray, "O"]:
         """Look at the scene as it is now and return [latent, proprioception]."""
-        self.last_images = self._render()
-        with torch.inference_mode():
-            latent = self.encoder.encode(torch.from_numpy(self.last_images)[None])
-            standardised = self.encoder.standardise(latent)[0]
+        latent = self.look()
+        standardised = torch.zeros_like(latent) if self._blind else self.encoder.standardise(latent)
         self.last_latent = latent[0].float().cpu().numpy()
-        parts = [standardised.float().cpu().numpy()]
+        parts = [standardised[0].float().cpu().numpy()]
         if self._proprio is not None:
             parts.append(self._proprio(observation))
         return np.concatenate(parts).astype(np.float32)
+
+    @torch.inference_mode()
+    def look(self) -> Float[Tensor, "1 Z"]:
+        """Return the latent of the scene as it is now; not standardised."""
+        if self._blind:
+            rig = self.encoder.rig
+            self.last_images = np.zeros((len(rig.names), rig.height, rig.width, 3), np.uint8)
+            return torch.zeros(1, self.encoder.latent_size)
+        self.last_images = self._render()
+        return self.encoder.encode(torch.from_numpy(self.last_images)[None])
 
     @property
     def gl_renderer(self) -> str:

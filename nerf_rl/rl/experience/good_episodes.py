@@ -1,6 +1,6 @@
 """The best episodes so far, kept in view: a share of each batch is drawn from them.
 
-Bujalance Martin and Moutarde 2023 and Horvath et al. 2024 ("HiER") draw a part of each batch from a second memory of
+Horvath et al. 2024 ("HiER") draw a part of each batch from a second memory of
 episodes with high returns. Here the second memory is a list of rows of the first.
 """
 

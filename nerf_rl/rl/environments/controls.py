@@ -1,0 +1,43 @@
+"""What stands beside a success rate from latents: the same agent with eyes that see nothing, or that nobody trained."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+if TYPE_CHECKING:
+    from nerf_rl.pretrain.model.encoder import Encoder
+    from nerf_rl.rl.environments.observation import LatentObservation
+
+_EPISODES, _STEPS = 16, 6  # that are looked at
+
+
+def untrained_copy(encoder: "Encoder", seed: int = 0) -> "Encoder":
+    """Return an encoder of the same architecture and rig with weights as drawn at the beginning of a training."""
+    from nerf_rl.pretrain.model.encoder import Encoder
+
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        copy = Encoder(encoder.config, encoder.rig)
+    copy.scene, copy.quality, copy.detail = encoder.scene, encoder.quality, encoder.detail
+    copy.renderer, copy.simulators = encoder.renderer, encoder.simulators
+    return copy.to(encoder.latent_mean.device).eval().requires_grad_(False)
+
+
+def standardise_by_looking(env: "LatentObservation") -> None:
+    """Set the encoder's latent mean and deviation by random acting in a few episodes, the same in every process.
+
+    An untrained encoder's latents hardly vary; without this an agent would be as good as blind for their scale alone.
+    """
+    rng, latents = np.random.default_rng(0), []
+    space = env.env.action_space
+    for episode in range(_EPISODES):
+        env.env.reset(seed=episode)
+        for _ in range(_STEPS):
+            latents.append(env.look())
+            _, _, terminated, truncated, _ = env.env.step(rng.uniform(-1.0, 1.0, space.shape).astype(np.float32))
+            if terminated or truncated:
+                break
+    seen = torch.cat(latents)
+    env.encoder.latent_mean.copy_(seen.mean(0))
+    env.encoder.latent_std.copy_(seen.std(0).clamp_min(1e-8))
