@@ -142,7 +142,8 @@ class LearnerConfig:
     updates_per_step: float = 1.0
     """gradient updates per agent step"""
     reset_after: int = 0
-    """environment steps without a success or a better return after which the networks start anew; 0 for never"""
+    """environment steps without a success, or without a better return where success is not told, after which networks
+    and exploration start anew; 0 for never"""
     reset_updates: int = 1000
     """updates that fresh networks are given at once, from the memory so far"""
 

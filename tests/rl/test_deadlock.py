@@ -35,22 +35,27 @@ def test_saturated_actions_dead_units_and_a_flat_critic_are_seen() -> None:
     assert all(parameter.grad is None for parameter in (*actor.parameters(), *critic.parameters()))
 
 
-def monitor(returns: list[float], successes: tuple[int, ...] = ()) -> DeadlockMonitor:
+def monitor(returns: list[float], successes: tuple[int, ...] | None = None) -> DeadlockMonitor:
     watch = DeadlockMonitor()
     for episode, value in enumerate(returns):
-        watch.end_episode(100 * (episode + 1), value, episode in successes)
+        watch.end_episode(100 * (episode + 1), value, None if successes is None else episode in successes)
     return watch
 
 
-def test_a_rising_return_or_a_success_counts_as_better_and_noise_does_not() -> None:
+def test_a_rising_return_counts_as_better_and_noise_does_not() -> None:
     rising = [float(i) for i in range(40)]
     assert monitor(rising).stuck_for(4000) == 0
     flat = [100.0 + (i % 2) for i in range(40)]
     assert monitor([*rising, *flat]).stuck_for(8000) == pytest.approx(2900, abs=200)
-    assert monitor(flat, successes=(30,)).stuck_for(4000) == 900
     watch = monitor(flat)
     watch.forgive(3500)
     assert watch.stuck_for(4000) == 500
+
+
+def test_where_success_is_told_it_alone_counts() -> None:
+    rising = [float(i) for i in range(40)]
+    assert monitor(rising, successes=()).stuck_for(4000) == 4000
+    assert monitor(rising, successes=(10, 30)).stuck_for(4000) == 900
 
 
 def test_a_resumed_run_goes_on_counting() -> None:
@@ -61,7 +66,7 @@ def test_a_resumed_run_goes_on_counting() -> None:
     again = DeadlockMonitor()
     again.load_state_dict(state)
     for episode, value in enumerate(returns[35:], 35):
-        again.end_episode(100 * (episode + 1), value, False)
+        again.end_episode(100 * (episode + 1), value, None)
     assert again.state_dict() == whole.state_dict()
 
 

@@ -31,6 +31,7 @@ FACTS = {  # of a checkpoint that has nothing but memory
     "rng": np.random.default_rng(0).bit_generator.state,
     "evaluations": [],
     "monitor": DeadlockMonitor().state_dict(),
+    "explored_from": 0,
 }
 
 

@@ -25,7 +25,7 @@ _REMEDY = "begin the run anew with --overwrite true, or use another --out"
 _WORD = whole(0, 2**128 - 1)
 _STRUCTURE = mapping(
     {
-        **dict.fromkeys(("env_steps", "updates", "episodes"), whole()),
+        **dict.fromkeys(("env_steps", "updates", "episodes", "explored_from"), whole()),
         "credit": number(0.0),
         "episode_index": listing(whole(), 1),
         "seconds": number(0.0),

@@ -22,24 +22,28 @@ STRUCTURE = mapping(
 
 
 class DeadlockMonitor:
-    """Tells for how many environment steps there was neither a success nor a better return."""
+    """Tells for how many environment steps there was no success, or no better return where success is not told.
+
+    Where it is told, a rising return is no sign of life: it rises while exploration falls and the policy rests.
+    """
 
     def __init__(self) -> None:
         self._returns: collections.deque[float] = collections.deque(maxlen=_EPISODES)
         self._best, self._worst = -math.inf, math.inf
         self._since = 0
 
-    def end_episode(self, env_steps: int, episode_return: float, success: bool) -> None:
+    def end_episode(self, env_steps: int, episode_return: float, success: bool | None) -> None:
         """Take in a training episode.
 
         Args:
             env_steps: at its end.
             episode_return: its return.
-            success: whether it had one; false where the environment does not tell.
+            success: whether it had one; None where the environment does not tell.
         """
+        if success is not None:
+            self._since = env_steps if success else self._since
+            return
         self._returns.append(episode_return)
-        if success:
-            self._since = env_steps
         if len(self._returns) < _EPISODES:
             return
         mean = sum(self._returns) / _EPISODES
@@ -48,7 +52,7 @@ class DeadlockMonitor:
             self._best, self._since = mean, env_steps
 
     def stuck_for(self, env_steps: int) -> int:
-        """Return the environment steps since the last success, or the last rise of the return."""
+        """Return the environment steps since then."""
         return env_steps - self._since
 
     def forgive(self, env_steps: int) -> None:

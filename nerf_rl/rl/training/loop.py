@@ -70,7 +70,7 @@ class Trainer:
         self._hindsight = self._make_hindsight(goal_task)
         self._length = np.zeros(count, np.int64)
         self._episode_index, self._returns, self._success = [0] * count, np.zeros(count), np.zeros(count, np.bool_)
-        self.env_steps, self.episodes, self._credit = 0, 0, 0.0
+        self.env_steps, self.episodes, self._credit, self._explored_from = 0, 0, 0.0, 0
         self._seconds_before, self._start = 0.0, time.monotonic()
         self.evaluations: list[dict[str, Any]] = []
         self._monitor = DeadlockMonitor()
@@ -88,6 +88,11 @@ class Trainer:
         """Whether the run has had its environment steps, or its episodes."""
         config = self._config
         return self.env_steps >= config.env_steps or 0 < config.episodes <= self.episodes
+
+    @property
+    def _explored(self) -> int:
+        """Environment steps since exploration began, or began anew."""
+        return self.env_steps - self._explored_from
 
     def train(self, progress: Progress, until: int) -> None:
         """Go on until ``until`` environment steps are done or the run is finished; then the episodes are broken off.
@@ -136,6 +141,7 @@ class Trainer:
             "rng": self._rng.bit_generator.state,
             "evaluations": self.evaluations,
             "monitor": self._monitor.state_dict(),
+            "explored_from": self._explored_from,
         }
         before = self._checkpoint
         self._checkpoint = save_checkpoint(
@@ -163,6 +169,7 @@ class Trainer:
         self._seconds_before, self.evaluations = facts["seconds"], facts["evaluations"]
         self._rng.bit_generator.state = facts["rng"]
         self._monitor.load_state_dict(facts["monitor"])
+        self._explored_from = facts["explored_from"]
 
     def _checkpoint_rows(self) -> int:
         """Return about how many rows of replay memory checkpoints will hold, beyond those that they hold already."""
@@ -220,7 +227,8 @@ class Trainer:
         for env in np.flatnonzero(done).tolist():
             self.episodes += 1
             self.replay.end_episode(env, self._returns[env])
-            self._monitor.end_episode(self.env_steps, float(self._returns[env]), bool(self._success[env]))
+            success = bool(self._success[env]) if "success" in info else None
+            self._monitor.end_episode(self.env_steps, float(self._returns[env]), success)
             figures = {"episode_return": self._returns[env], "episode_length": float(self._length[env])}
             self.metrics.gather(figures | ({"episode_success": float(self._success[env])} if "success" in info else {}))
         return self._restart(done)
@@ -231,11 +239,11 @@ class Trainer:
         if self.env_steps < config.warmup_steps:
             random = self._rng.uniform(-1.0, 1.0, (self._envs.num_envs, self.action_size)).astype(np.float32)
             return self._held.override(random, 0.8)
-        noisy = np.clip(self.agent.act(observation) + self._noise.sample(self.env_steps), -1.0, 1.0)
+        noisy = np.clip(self.agent.act(observation) + self._noise.sample(self._explored), -1.0, 1.0)
         return self._held.override(noisy.astype(np.float32), self._decayed(config.noise.hold_share))
 
     def _decayed(self, start: float) -> float:
-        return linear_schedule(start, 0.0, self._config.noise.decay_steps, self.env_steps)
+        return linear_schedule(start, 0.0, self._config.noise.decay_steps, self._explored)
 
     def _learn(self) -> None:
         """Do the updates that the steps so far are worth."""
@@ -252,17 +260,22 @@ class Trainer:
         return linear_schedule(self._config.replay.beta, 1.0, self._config.env_steps, self.env_steps)
 
     def _react(self, progress: Progress) -> None:
-        """Start the networks anew if nothing has improved for as long as ``learner.reset_after``; keep the memory."""
+        """If nothing has improved for as long as ``learner.reset_after``, start networks and exploration anew.
+
+        The memory stays. Exploration has to return, too: networks that learn from the same memory, and act with as
+        little noise, come to rest at the same place.
+        """
         patience, stuck = self._config.learner.reset_after, self._monitor.stuck_for(self.env_steps)
         if not patience or stuck < patience or not self.agent.updates:
             return
         progress.say(
-            f"{self.env_steps} env steps: neither a success nor a better return for {stuck} of them; "
-            "the networks start anew from the memory so far"
+            f"{self.env_steps} env steps: nothing has improved for {stuck} of them; "
+            "networks and exploration start anew, with the memory so far"
         )
         self.agent.reset()
         self._credit += self._config.learner.reset_updates
         self._monitor.forgive(self.env_steps)
+        self._explored_from = self.env_steps
 
     def _log(self, updates_per_second: float) -> None:
         if self.agent.updates:
@@ -271,7 +284,7 @@ class Trainer:
             env_steps=self.env_steps,
             seconds=self.seconds,
             episodes=self.episodes,
-            noise=self._noise.scale(self.env_steps),
+            noise=self._noise.scale(self._explored),
             beta=self._beta(),
             priority_spread=self.replay.priority_spread(),
             stuck_for=self._monitor.stuck_for(self.env_steps),
