@@ -43,7 +43,7 @@ ROOT = Path(__file__).parents[2]
             ["--scene", "panda/push"],
             "unknown scene 'panda/push'; available: metaworld/TASK, for example metaworld/drawer-open",
         ),
-        (["--seeds", "3"], "unknown key 'seeds' (did you mean seed"),
+        (["--sed", "3"], "unknown key 'sed' (did you mean seed"),
         (
             ["--scene", "metaworld/drawer-opn-v3"],
             "unknown Meta-World task 'drawer-opn-v3' (did you mean drawer-open-v3",
