@@ -13,7 +13,7 @@ from torch.utils.data import Dataset
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.data.batches import RayBatches
-from nerf_rl.pretrain.data.data_module import NO_FRAME, BatchesAhead, EpochSteps, MultiViewDataModule
+from nerf_rl.pretrain.data.data_module import NO_FRAME, BatchesAhead, EpochSteps, FetchedAhead, MultiViewDataModule
 
 
 @pytest.fixture
@@ -77,9 +77,9 @@ def test_processes_prepare_the_same_batches_as_a_thread_and_stay_for_the_next_ep
         loader: Any = processes.train_dataloader()
         for mine, theirs in zip(thread.train_dataloader(), loader, strict=True):
             assert all(torch.equal(a, b) for a, b in zip(mine, theirs, strict=True))
-            workers |= {worker.pid for worker in loader._iterator._workers}
+            workers |= {worker.pid for worker in loader.batches._iterator._workers}
     assert len(workers) == 1
-    loader._iterator._shutdown_workers()
+    loader.batches._iterator._shutdown_workers()
 
 
 @pytest.mark.parametrize(
@@ -88,9 +88,10 @@ def test_processes_prepare_the_same_batches_as_a_thread_and_stay_for_the_next_ep
 def test_a_gpu_has_processes_that_prepare_its_batches(
     dataset: MultiViewDataset, on_gpu: bool, asked: int | None, workers: int
 ):
-    loader: Any = MultiViewDataModule(dataset, config(loader_workers=asked), on_gpu=on_gpu).train_dataloader()
-    assert getattr(loader, "num_workers", 0) == workers
-    assert getattr(loader, "pin_memory", on_gpu) == on_gpu
+    made = MultiViewDataModule(dataset, config(loader_workers=asked), on_gpu=on_gpu).train_dataloader()
+    assert isinstance(made, FetchedAhead if workers else BatchesAhead)
+    if isinstance(made, FetchedAhead):
+        assert (made.batches.num_workers, made.batches.pin_memory) == (workers, on_gpu)
 
 
 @pytest.mark.parametrize("ranks", [2, 4])

@@ -72,6 +72,30 @@ class BatchesAhead:
         return len(self._steps)
 
 
+class FetchedAhead:
+    """Iterates over the batches of worker processes; a thread takes them over while one is in use.
+
+    To open the shared memory of a batch's arrays takes several milliseconds, which the training step would wait for.
+
+    Args:
+        batches: of the worker processes.
+    """
+
+    def __init__(self, batches: DataLoader):
+        self.batches = batches
+
+    def __iter__(self) -> Iterator[Batch]:
+        arriving = iter(self.batches)
+        with ThreadPoolExecutor(1, "batches") as thread:
+            waiting = deque(thread.submit(next, arriving, None) for _ in range(_AHEAD))
+            while (batch := waiting.popleft().result()) is not None:
+                waiting.append(thread.submit(next, arriving, None))
+                yield batch
+
+    def __len__(self) -> int:
+        return len(self.batches)
+
+
 class MultiViewDataModule(lightning.LightningDataModule):
     """Batches of an epoch for training, and whole held-out frames for validation.
 
@@ -106,7 +130,7 @@ class MultiViewDataModule(lightning.LightningDataModule):
             batches = kind(self._dataset, self._config, self.statistics, share)
             steps = EpochSteps(self._config.steps, self._config.steps_per_epoch, self._steps_done)
             self._train = (
-                _in_processes(batches, steps, self._workers, self._on_gpu)
+                FetchedAhead(_in_processes(batches, steps, self._workers, self._on_gpu))
                 if self._workers
                 else BatchesAhead(batches, steps)
             )
