@@ -9,7 +9,7 @@ import torch
 from nerf_rl.datasets.storage.point_cloud import unproject
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import PretrainConfig
-from nerf_rl.pretrain.data.anchors import Middles, choose_anchors, visible_middles
+from nerf_rl.pretrain.data.anchors import Anchors, FollowedMiddles, Middles, choose_anchors, visible_middles
 from nerf_rl.pretrain.data.batches import RayBatches
 from nerf_rl.pretrain.data.data_module import MultiViewDataModule
 from nerf_rl.pretrain.data.statistics import measure
@@ -111,3 +111,17 @@ def test_the_anchor_loss_alone_brings_frames_to_their_classes(dataset: MultiView
         error().backward()
         optimiser.step()
     assert error().item() < 0.2 * before
+
+
+def test_middles_that_are_kept_are_those_of_their_frames_however_they_were_drawn(tiny_dataset: Path):
+    dataset = MultiViewDataset(tiny_dataset)
+    classes = len(dataset.class_names)
+    followed = (1, classes - 1)
+    kept = FollowedMiddles(dataset, Anchors(followed, np.zeros((2, 3)), np.ones(2)))
+    for drawn in ([4, 1, 4], [1, 0, 5], [5, 4, 2]):
+        frames = np.array(drawn)
+        intrinsics, poses = dataset.cameras(frames)
+        seen = dataset.read("depth", frames), dataset.read_labels(frames), intrinsics, poses
+        found, expected = kept.of(frames, *seen), visible_middles(*seen, classes)
+        assert np.array_equal(found.seen, expected.seen[:, followed])
+        assert np.allclose(found.place, expected.place[:, followed], atol=1e-6)

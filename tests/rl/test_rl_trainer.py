@@ -1,5 +1,6 @@
 """The training loop on the tiny environment: it learns, is repeatable, and resumes exactly."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -101,3 +102,33 @@ def test_only_the_newest_complete_checkpoint_is_kept(envs: AsyncVectorEnv, tmp_p
         ".json",
         ".safetensors",
     }
+
+
+def test_an_agent_that_stays_stuck_starts_anew_from_its_memory_and_a_resumed_run_does_so_too(
+    envs: AsyncVectorEnv, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stuck(run: Path, resume: bool = False) -> Trainer:
+        run.mkdir(exist_ok=True)
+        made = config(run, log_every=50, resume=resume)
+        made.learner.reset_after, made.learner.reset_updates = 100, 20
+        trainer = Trainer(made, envs, run)
+        trainer._monitor.end_episode = lambda *_: None  # type: ignore[method-assign]  # nothing is ever a success
+        return trainer
+
+    whole = stuck(tmp_path / "whole")
+    train(whole, 200)
+    before = [parameter.clone() for parameter in whole.agent.policy().parameters()]
+    stored, updates = len(whole.replay), whole.agent.updates
+    whole.save()
+    shutil.copytree(tmp_path / "whole" / "checkpoints", tmp_path / "again" / "checkpoints")
+    assert "nothing has improved" in capsys.readouterr().out
+    assert whole._noise.scale(whole._explored) > whole._noise.scale(whole.env_steps), "exploration starts anew, too"
+    train(whole, 400)
+    again = stuck(tmp_path / "again", resume=True)
+    train(again, 400)
+    for trainer in (whole, again):
+        assert len(trainer.replay) > stored and trainer.agent.updates > updates + 20
+        trainer.replay.close()
+    states = [trainer.agent.state_dict() for trainer in (whole, again)]
+    assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
+    assert any((a != b).any() for a, b in zip(before, whole.agent.policy().parameters(), strict=True))

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy import ndarray
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
@@ -100,10 +99,7 @@ def probe_encoder(
             dict(zip(names[len(probed) :], of_joints, strict=True)),
         )
 
-    with torch.random.fork_rng():
-        torch.manual_seed(seed)
-        untrained = Encoder(encoder.config, encoder.rig).eval().requires_grad_(False).to(encoder.latent_mean.device)
-    result = ProbeResult(figures(encoder), figures(untrained))
+    result = ProbeResult(figures(encoder), figures(encoder.untrained(seed)))
     if ceiling_steps and probed:
         supervised = train_supervised(encoder.config, encoder.rig, dataset, probed, ceiling_steps, seed)
         result.supervised = figures(supervised.to(encoder.latent_mean.device))

@@ -99,6 +99,15 @@ class Encoder(nn.Module):
         """Return latents with zero mean and unit deviation over the training data."""
         return (latent - self.latent_mean) / self.latent_std
 
+    def untrained(self, seed: int = 0) -> "Encoder":
+        """Return an encoder of the same architecture, rig and place with weights as at the beginning of a training."""
+        with torch.random.fork_rng():
+            torch.manual_seed(seed)
+            copy = Encoder(self.config, self.rig).to(self.latent_mean.device)
+        for name in ("scene", "quality", "detail", "renderer", "simulators"):
+            setattr(copy, name, getattr(self, name))
+        return copy.eval().requires_grad_(False)
+
     def describe(self) -> dict[str, Any]:
         """Return what ``encoder.json`` says of the encoder itself; :meth:`described` reads it."""
         return {

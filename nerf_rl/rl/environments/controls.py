@@ -1,4 +1,4 @@
-"""What stands beside a success rate from latents: the same agent with eyes that see nothing, or that nobody trained."""
+"""What an agent with an untrained encoder needs, to stand beside one whose encoder was trained."""
 
 from typing import TYPE_CHECKING
 
@@ -6,22 +6,9 @@ import numpy as np
 import torch
 
 if TYPE_CHECKING:
-    from nerf_rl.pretrain.model.encoder import Encoder
     from nerf_rl.rl.environments.observation import LatentObservation
 
 _EPISODES, _STEPS = 16, 6  # that are looked at
-
-
-def untrained_copy(encoder: "Encoder", seed: int = 0) -> "Encoder":
-    """Return an encoder of the same architecture and rig with weights as drawn at the beginning of a training."""
-    from nerf_rl.pretrain.model.encoder import Encoder
-
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        copy = Encoder(encoder.config, encoder.rig)
-    copy.scene, copy.quality, copy.detail = encoder.scene, encoder.quality, encoder.detail
-    copy.renderer, copy.simulators = encoder.renderer, encoder.simulators
-    return copy.to(encoder.latent_mean.device).eval().requires_grad_(False)
 
 
 def standardise_by_looking(env: "LatentObservation") -> None:

@@ -77,7 +77,7 @@ def make_env(spec: EnvSpec, encoder: Any = None, device: str = "cpu") -> tuple[g
         return StateObservation(with_flat_observation(env)), scene
     # these load torch, which a state worker does without
     from nerf_rl.pretrain.model.encoder import Encoder
-    from nerf_rl.rl.environments.controls import standardise_by_looking, untrained_copy
+    from nerf_rl.rl.environments.controls import standardise_by_looking
     from nerf_rl.rl.environments.observation import LatentObservation
 
     proprio, observed = scene.proprio, ObservedColumns(scene, spec.observe)
@@ -87,7 +87,7 @@ def make_env(spec: EnvSpec, encoder: Any = None, device: str = "cpu") -> tuple[g
 
     eyes = encoder or Encoder.load(Path(spec.encoder))
     compare_scenes(eyes.scene, spec.scene)
-    eyes = untrained_copy(eyes) if spec.control == RANDOM else eyes
+    eyes = eyes.untrained() if spec.control == RANDOM else eyes
     latent = LatentObservation(env, eyes, beside_latent, device, spec.control == BLIND)
     if spec.control == RANDOM:
         standardise_by_looking(latent)
