@@ -1,12 +1,11 @@
 """Rendering shards in worker processes, which may die or hang without harm to what is finished."""
 
 import contextlib
-import warnings
 from collections.abc import Callable, Collection, Generator
 from pathlib import Path
 
 import mujoco
-from joblib import Parallel, delayed
+from joblib import delayed
 
 from nerf_rl.datasets.config import GenDatasetConfig
 from nerf_rl.datasets.generation.shard_episodes import RenderedShard, render_shard
@@ -15,9 +14,7 @@ from nerf_rl.datasets.storage.plan import Plan, plan_of
 from nerf_rl.datasets.storage.shards import partial_files, partial_path, shard_path
 from nerf_rl.errors import FailureError
 from nerf_rl.machine.gl import use_one_software_thread
-from nerf_rl.machine.worker_pools import open_backend
-
-_MOST_DEATHS = 3  # in a row, without a finished shard in between
+from nerf_rl.machine.worker_pools import MOST_DEATHS, Backend, as_they_end, open_backend, through_deaths
 
 
 def render_shards(
@@ -42,49 +39,39 @@ def render_shards(
         UserError: the backend cannot be had.
     """
     backend, deaths = open_backend(config.backend)
-    folder, missing, in_a_row = Path(config.out), list(shards), 0
+    folder, missing, plan = Path(config.out), list(shards), plan or plan_of(config)
+
+    def after_death(in_a_row: int) -> None:
+        lost = sorted({shard for shard, _ in partial_files(folder, missing).values()})
+        names = f"shard{'s' * (len(lost) != 1)} {', '.join(map(str, lost))}" if lost else "shards"
+        if in_a_row >= MOST_DEATHS:
+            raise FailureError(
+                f"render workers died or hung {in_a_row} times in a row at {names}; finished shards are kept: "
+                "go on with --resume true, with fewer --workers if memory ran out or OpenGL hung"
+            )
+        say(f"a render worker died or hung; {names} will be rendered anew")
+        missing[:] = [shard for shard in missing if shard not in lost] + lost
+        _remove_partial_files(folder, missing)
+
+    def attempt(shards: list[int]) -> Generator[RenderedShard, None, None]:
+        return _render_once(config, shards, backend, plan)
+
     try:
-        while missing:
-            try:
-                with contextlib.closing(
-                    _render_once(config, list(missing), backend, plan or plan_of(config))
-                ) as rendered:
-                    for shard in rendered:
-                        missing.remove(shard.shard)
-                        in_a_row = 0
-                        yield shard
-            except deaths as error:
-                in_a_row += 1
-                lost = sorted({shard for shard, _ in partial_files(folder, missing).values()})
-                names = f"shard{'s' * (len(lost) != 1)} {', '.join(map(str, lost))}" if lost else "shards"
-                if in_a_row >= _MOST_DEATHS:
-                    raise FailureError(
-                        f"render workers died or hung {in_a_row} times in a row at {names}; finished shards are kept: "
-                        "go on with --resume true, with fewer --workers if memory ran out or OpenGL hung"
-                    ) from error
-                say(f"a render worker died or hung; {names} will be rendered anew")
-                missing = [shard for shard in missing if shard not in lost] + lost
-                _remove_partial_files(folder, missing)
+        yield from through_deaths(missing, attempt, lambda rendered: rendered.shard, deaths, after_death)
     finally:
         _remove_partial_files(folder, missing)
 
 
 def _render_once(
-    config: GenDatasetConfig, shards: list[int], backend: object, plan: Plan
+    config: GenDatasetConfig, shards: list[int], backend: Backend, plan: Plan
 ) -> Generator[RenderedShard, None, None]:
     workers = min(config.workers, len(shards))
     if config.backend == "ray":
         workers = max(workers, 2)  # for one job joblib would start no process
-    parallel = Parallel(
-        workers, backend=backend, return_as="generator_unordered", batch_size=1, pre_dispatch=2 * workers
-    )
     watch = lookout(Path(config.out), shards, config.worker_timeout) if config.backend == "loky" else None
-    with watch or contextlib.nullcontext(), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*(tasks|worker)")  # joblib and loky tell of an early end
-        with contextlib.closing(
-            parallel(delayed(_render_watched)(config, shard, plan) for shard in shards)
-        ) as rendered:
-            yield from rendered
+    calls = (delayed(_render_watched)(config, shard, plan) for shard in shards)
+    with watch or contextlib.nullcontext(), contextlib.closing(as_they_end(calls, workers, backend)) as rendered:
+        yield from rendered
 
 
 def _render_watched(config: GenDatasetConfig, shard: int, plan: Plan) -> RenderedShard:

@@ -7,21 +7,18 @@ import signal
 import subprocess
 import sys
 import time
-import warnings
 from collections.abc import Callable, Collection, Generator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import joblib
-from joblib import Parallel, delayed
+from joblib import delayed
 
 from nerf_rl.errors import FailureError
-from nerf_rl.machine.worker_pools import open_backend
+from nerf_rl.machine.worker_pools import MOST_DEATHS, Backend, as_they_end, open_backend, through_deaths
 from nerf_rl.rl.config import TrainRLConfig
 from nerf_rl.rl.sweeps.runs import run_folder
 
-_MOST_DEATHS = 3  # in a row, without a seed that ended in between
 _PATIENCE = 60.0  # [s] for which a seed waits for processes that an interrupted sweep left
 
 _SIGNALS = {int(known): known.name for known in signal.Signals}
@@ -58,39 +55,22 @@ def train_seeds_apart(
         UserError: the backend cannot be had.
     """
     backend, deaths = open_backend(config.backend)
-    missing, in_a_row = list(seeds), 0
-    while missing:
-        try:
-            with contextlib.closing(_train_once(config, list(missing), backend)) as ended:
-                for end in ended:
-                    missing.remove(end.seed)
-                    in_a_row = 0
-                    yield end
-        except deaths as error:
-            in_a_row += 1
-            if in_a_row >= _MOST_DEATHS:
-                raise FailureError(
-                    f"the processes that wait for seeds died {in_a_row} times in a row; go on with --resume true"
-                ) from error
-            say("a process that waited for a seed died; seeds go on from their last checkpoints")
+
+    def after_death(in_a_row: int) -> None:
+        if in_a_row >= MOST_DEATHS:
+            raise FailureError(
+                f"the processes that wait for seeds died {in_a_row} times in a row; go on with --resume true"
+            )
+        say("a process that waited for a seed died; seeds go on from their last checkpoints")
+
+    def attempt(seeds: list[int]) -> Generator[SeedEnd, None, None]:
+        calls = (delayed(train_seed)(config.out, seed, config.threads, os.getcwd()) for seed in seeds)
+        return as_they_end(calls, _workers(config, len(seeds), backend), backend)
+
+    yield from through_deaths(list(seeds), attempt, lambda end: end.seed, deaths, after_death)
 
 
-def _train_once(config: TrainRLConfig, seeds: list[int], backend: Any) -> Generator[SeedEnd, None, None]:
-    parallel = Parallel(
-        _workers(config, len(seeds), backend),
-        backend=backend,
-        return_as="generator_unordered",
-        batch_size=1,
-        pre_dispatch="2 * n_jobs",
-    )
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*(tasks|worker)")  # joblib and loky tell of an early end
-        work = (delayed(train_seed)(config.out, seed, config.threads, os.getcwd()) for seed in seeds)
-        with contextlib.closing(parallel(work)) as ended:
-            yield from ended
-
-
-def _workers(config: TrainRLConfig, seeds: int, backend: Any) -> int:
+def _workers(config: TrainRLConfig, seeds: int, backend: Backend) -> int:
     """Return how many seeds are trained at a time."""
     if config.backend == "ray":  # for one job joblib would start no process
         return max(2, min(config.workers or backend.effective_n_jobs(-1) // config.threads, seeds))
