@@ -13,7 +13,7 @@ from tiny_recipes import TINY_DATASET, TINY_PRETRAINING, TINY_TRAINING
 
 from nerf_rl import cli
 from nerf_rl.errors import UserError
-from nerf_rl.rl.environments.goals import DictGoalTask
+from nerf_rl.rl.environments.goals import GoalTask
 from nerf_rl.rl.environments.make import EnvSpec, make_env, make_goal_task
 from nerf_rl.rl.environments.wrappers import with_flat_observation, with_unit_actions
 from nerf_rl.rl.rollout import rollout
@@ -191,7 +191,7 @@ def test_success_is_read_under_both_names_and_absent_without():
 def test_goals_are_exchanged_as_the_environment_would():
     """The reward and the observation of another goal equal those of an environment whose goal that is."""
     task = make_goal_task(EnvSpec(SLIDER, None, 1, 20))
-    assert isinstance(task, DictGoalTask)
+    assert isinstance(task, GoalTask)
     env, scene = make_env(EnvSpec(SLIDER, None, 1, 20))
     assert scene is not None
     observation, _ = env.reset(seed=1)

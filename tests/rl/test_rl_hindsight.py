@@ -3,12 +3,17 @@
 import numpy as np
 import pytest
 
-from nerf_rl.rl.config import PandaReachConfig
-from nerf_rl.rl.environments.panda_reach import COLUMNS, REACHED_BELOW, WIDTHS, ReachTask, reach_task
+from nerf_rl.rl.environments.goals import ACHIEVED, DESIRED, OBSERVATION, GoalLayout, GoalTask
+from nerf_rl.rl.environments.panda_reach import REACHED_BELOW, ReachRules
 from nerf_rl.rl.experience.hindsight import Hindsight
 from nerf_rl.rl.experience.n_step import NStep, Transition
 
 GAMMA, N = 0.9, 3
+LAYOUTS = {"full": GoalLayout(10, 3, displacement=True), "paper": GoalLayout(7, 3)}
+
+
+def reach_task(reward: str, kind: str = "full") -> GoalTask:
+    return GoalTask(ReachRules(reward), LAYOUTS[kind])
 
 
 def walk(length: int, goal: np.ndarray, kind: str = "full", stride: float = 0.04) -> list[np.ndarray]:
@@ -16,18 +21,12 @@ def walk(length: int, goal: np.ndarray, kind: str = "full", stride: float = 0.04
     observations = []
     for t in range(length + 1):
         position = np.array([stride * t, 0.0, 0.0])
-        parts = {
-            "joint_angles": np.full(7, 0.1 * t),
-            "velocity": np.array([1.0, 0.0, 0.0]),
-            "position": position,
-            "goal": goal,
-            "displacement": goal - position,
-        }
-        observations.append(np.concatenate([parts[column] for column in COLUMNS[kind]]))
+        own = np.full(LAYOUTS[kind].observation, 0.1 * t)
+        observations.append(LAYOUTS[kind].vector({OBSERVATION: own, ACHIEVED: position, DESIRED: goal}))
     return observations
 
 
-def relive(task: ReachTask, observations: list[np.ndarray], **keys: object) -> list[Transition]:
+def relive(task: GoalTask, observations: list[np.ndarray], **keys: object) -> list[Transition]:
     hindsight = Hindsight(task, keys.pop("copies", 1), N, GAMMA, np.random.default_rng(0), **keys)
     transitions: list[Transition] = []
     for t in range(len(observations) - 1):
@@ -41,10 +40,10 @@ def same(a: Transition, b: Transition) -> bool:
     return all(np.allclose(x, y) for x, y in zip(a, b, strict=True))
 
 
-@pytest.mark.parametrize("kind", COLUMNS)
+@pytest.mark.parametrize("kind", LAYOUTS)
 @pytest.mark.parametrize("reward", ["dense", "bonus", "sparse"])
 def test_relabelled_steps_are_those_of_an_episode_that_had_this_goal_from_the_start(kind: str, reward: str) -> None:
-    task = reach_task(PandaReachConfig(reward=reward, observation=kind))
+    task = reach_task(reward, kind)
     far, goal = np.array([0.0, 0.0, 5.0]), np.array([0.3, 0.0, 0.0])
     found = relive(task, walk(10, far, kind), draw_goals=lambda count: np.tile(goal, (count, 1)), random_share=1.0)
     really, n_step, wanted = walk(10, goal, kind), NStep(N, GAMMA), []
@@ -59,7 +58,7 @@ def test_relabelled_steps_are_those_of_an_episode_that_had_this_goal_from_the_st
 
 
 def test_future_goals_were_achieved_at_the_same_step_or_later_in_the_episode() -> None:
-    task = ReachTask("sparse", COLUMNS["full"])
+    task = reach_task("sparse")
     for transition in relive(task, walk(20, np.array([0.0, 0.0, 5.0])), copies=8):
         goal = task.with_goal(transition.observation, np.zeros(3))  # the place of the goal in the observation
         place = np.flatnonzero(goal != transition.observation)[0]
@@ -69,7 +68,7 @@ def test_future_goals_were_achieved_at_the_same_step_or_later_in_the_episode() -
 
 
 def test_a_share_of_the_goals_comes_from_anywhere_in_training() -> None:
-    task, elsewhere = ReachTask("dense", COLUMNS["paper"]), np.array([0.0, 7.0, 0.0])
+    task, elsewhere = reach_task("dense", "paper"), np.array([0.0, 7.0, 0.0])
     draw = {"draw_goals": lambda count: np.tile(elsewhere, (count, 1)), "random_share": 0.25}
     transitions = relive(task, walk(50, np.ones(3), "paper"), copies=40, **draw)
     drawn = [np.allclose(task.with_goal(t.observation, elsewhere), t.observation) for t in transitions]
@@ -78,7 +77,7 @@ def test_a_share_of_the_goals_comes_from_anywhere_in_training() -> None:
 
 
 def test_every_step_is_relabelled_as_often_as_asked_and_nothing_leaks_into_the_next_episode() -> None:
-    task = ReachTask("dense", COLUMNS["full"])
+    task = reach_task("dense")
     hindsight = Hindsight(task, 4, N, GAMMA, np.random.default_rng(0))
     observations = walk(5, np.ones(3))
     for t in range(4):
@@ -88,7 +87,7 @@ def test_every_step_is_relabelled_as_often_as_asked_and_nothing_leaks_into_the_n
 
 
 def test_a_step_to_its_own_achievement_terminates_with_the_sparse_reward() -> None:
-    task = ReachTask("sparse", COLUMNS["paper"])
+    task = reach_task("sparse", "paper")
     (last,) = relive(task, walk(1, np.ones(3), "paper"))
     assert (last.reward, last.discount) == (1.0, 0.0)
 
@@ -96,9 +95,9 @@ def test_a_step_to_its_own_achievement_terminates_with_the_sparse_reward() -> No
 def test_rewards_of_the_three_kinds_differ_only_by_distance_and_bonus() -> None:
     goal = np.zeros((4, 3))
     achieved = np.array([[0.0, 0, 0], [0.049, 0, 0], [0.051, 0, 0], [0.0, 0.3, 0.4]])
-    outcomes = {kind: ReachTask(kind, COLUMNS["full"]).outcome(achieved, goal) for kind in ("dense", "bonus", "sparse")}
+    outcomes = {kind: reach_task(kind).outcome(achieved, goal) for kind in ("dense", "bonus", "sparse")}
     assert outcomes["sparse"][0].tolist() == [1.0, 1.0, 0.0, 0.0]
     assert outcomes["dense"][0] == pytest.approx([0.0, -0.049, -0.051, -0.5])
     assert outcomes["bonus"][0] == pytest.approx(outcomes["dense"][0] + outcomes["sparse"][0])
     assert all((reached == [True, True, False, False]).all() for _, reached in outcomes.values())
-    assert REACHED_BELOW == 0.05 and sum(WIDTHS[c] for c in COLUMNS["paper"]) == 13
+    assert REACHED_BELOW == 0.05

@@ -10,8 +10,8 @@ import pytest
 from nerf_rl import cli
 from nerf_rl.rl.agents.policy import Policy
 from nerf_rl.rl.config import PandaReachConfig
-from nerf_rl.rl.environments.make import EnvSpec, make_env
-from nerf_rl.rl.environments.panda_reach import PANDA_REACH, PandaReach, reach_task
+from nerf_rl.rl.environments.make import EnvSpec, make_env, make_goal_task
+from nerf_rl.rl.environments.panda_reach import PANDA_REACH, PandaReach
 from nerf_rl.rl.rollout import film, rollout
 
 panda_gym = pytest.importorskip("panda_gym", reason="extra panda")
@@ -43,7 +43,8 @@ TINY += [
 def test_it_is_panda_gyms_simulation_with_another_observation(control: str) -> None:
     ids = {"joints": "PandaReachJointsDense-v3", "ee": "PandaReachDense-v3"}
     theirs = gymnasium.make(ids[control])
-    ours = PandaReach(PandaReachConfig(control=control, observation="panda-gym"))
+    config = PandaReachConfig(control=control, observation="panda-gym")
+    ours, _ = make_env(EnvSpec(PANDA_REACH, None, 1, 50, config))
     assert ours.action_space.shape == theirs.action_space.shape == ((7,) if control == "joints" else (3,))
     raw, _ = theirs.reset(seed=11)
     observation, _ = ours.reset(seed=11)
@@ -56,20 +57,30 @@ def test_it_is_panda_gyms_simulation_with_another_observation(control: str) -> N
         raw, their_reward, their_end, _, _ = theirs.step(action)
         observation, reward, end, _, info = ours.step(action)
         assert (reward, end) == (pytest.approx(float(their_reward)), their_end)
-        assert info == {"success": end}
+        assert info == {"env_steps": 1, "success": end}
     theirs.close()
     ours.close()
 
 
 @pytest.mark.parametrize("observation", ["full", "paper", "panda-gym"])
 def test_the_task_finds_position_and_goal_in_each_kind_of_observation(observation: str) -> None:
-    config = PandaReachConfig(observation=observation, reward="bonus")
-    env, task = PandaReach(config), reach_task(config)
+    spec = EnvSpec(PANDA_REACH, None, 1, 50, PandaReachConfig(observation=observation, reward="bonus"))
+    (env, _), task = make_env(spec), make_goal_task(spec)
+    assert task is not None
     first, _ = env.reset(seed=3)
     second, reward, _, _, _ = env.step(np.ones(7, np.float32))
-    goal = np.array(env._simulation.task.goal)
+    simulation = env.unwrapped._simulation  # type: ignore[attr-defined]
+    position, goal = (np.array(place) for place in (simulation.robot.get_ee_position(), simulation.task.goal))
+    angles = [simulation.robot.get_joint_angle(joint=joint) for joint in range(7)]
+    velocity = simulation.robot.get_ee_velocity()
+    parts = {
+        "full": [*angles, *velocity, *position, *goal, *(goal - position)],
+        "paper": [*angles, *position, *goal],
+        "panda-gym": [*velocity, *position, *goal],
+    }
     assert first.dtype == np.float32 and first.shape == env.observation_space.shape
-    assert task.achieved(second) == pytest.approx(np.array(env._simulation.robot.get_ee_position()), abs=1e-6)
+    assert second == pytest.approx(np.array(parts[observation]), abs=1e-6)
+    assert task.achieved(second) == pytest.approx(position, abs=1e-6)
     assert task.with_goal(second, goal.astype(np.float32)) == pytest.approx(second, abs=1e-6)
     assert reward == pytest.approx(float(task.outcome(task.achieved(second), goal)[0]), abs=1e-6)
     env.close()

@@ -1,66 +1,124 @@
-"""Tasks whose goal is part of the observation, so that an episode can be relived with another goal."""
+"""Goal environments: how goals lie in an agent's observation, so that an episode can be relived with another goal."""
 
-from abc import ABC, abstractmethod
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
 
 import gymnasium
 import numpy as np
+from gymnasium.spaces import Box, Dict
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from nerf_rl.rl.environments.wrappers import goal_sizes
+OBSERVATION, ACHIEVED, DESIRED = "observation", "achieved_goal", "desired_goal"
+"""parts of a goal environment's observation, after Gymnasium-Robotics"""
 
 
-class GoalTask(ABC):
-    """What hindsight relabelling has to know of a task."""
+@runtime_checkable
+class GoalRules(Protocol):
+    """What decides an environment's reward, and perhaps the end of an episode, from a step's goals alone.
 
-    @abstractmethod
+    A ``compute_terminated`` with the same arguments is optional; without one no goal ends an episode.
+    """
+
+    def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
+        """Return the reward for arriving at ``achieved_goal``."""
+        ...
+
+
+def has_goal(env: gymnasium.Env) -> bool:
+    """Tell whether an environment is one with exchangeable goals, as Gymnasium-Robotics defines them."""
+    space = env.observation_space
+    parts = isinstance(space, Dict) and set(space.spaces) == {OBSERVATION, ACHIEVED, DESIRED}
+    return parts and hasattr(env.unwrapped, "compute_reward")
+
+
+@dataclass(frozen=True)
+class GoalLayout:
+    """A goal environment's dictionary as one vector: observation, achieved goal, desired goal and their difference."""
+
+    observation: int
+    """numbers of the observation"""
+    goal: int
+    """numbers of a goal"""
+    displacement: bool = False
+    """whether the way from the achieved to the desired goal is observed, too"""
+
+    @property
+    def size(self) -> int:
+        """Numbers of the vector, O."""
+        return self.observation + (3 if self.displacement else 2) * self.goal
+
+    def vector(self, parts: dict[str, ndarray]) -> Float[ndarray, "O"]:
+        """Return the parts one after another."""
+        observation, achieved, desired = (np.ravel(parts[name]) for name in (OBSERVATION, ACHIEVED, DESIRED))
+        return np.concatenate([observation, achieved, desired, *([desired - achieved] if self.displacement else [])])
+
+    def achieved(self, vector: Float[ndarray, "*T O"]) -> Float[ndarray, "*T G"]:
+        """Return the achieved goals."""
+        return vector[..., self.observation : self.observation + self.goal]
+
+    def with_goal(self, vector: Float[ndarray, "*T O"], goal: Float[ndarray, "*T G"]) -> Float[ndarray, "*T O"]:
+        """Return the vectors as they would be if the desired goals were these."""
+        relived, desired = vector.copy(), self.observation + self.goal
+        relived[..., desired : desired + self.goal] = goal
+        if self.displacement:
+            relived[..., desired + self.goal :] = goal - self.achieved(vector)
+        return relived
+
+
+def goal_layout(env: gymnasium.Env) -> GoalLayout:
+    """Return how the goals of an environment that has some lie in its observation.
+
+    The displacement is observed where the environment's ``observes_displacement`` is true.
+    """
+    space = env.observation_space
+    assert isinstance(space, Dict)
+    sizes = {name: int(np.prod(space[name].shape or ())) for name in (OBSERVATION, ACHIEVED, DESIRED)}
+    assert sizes[ACHIEVED] == sizes[DESIRED]
+    return GoalLayout(sizes[OBSERVATION], sizes[DESIRED], getattr(env.unwrapped, "observes_displacement", False))
+
+
+class GoalObservation(gymnasium.ObservationWrapper):
+    """A goal environment's dictionary as one vector, see :class:`GoalLayout`."""
+
+    def __init__(self, env: gymnasium.Env):
+        super().__init__(env)
+        self._layout = goal_layout(env)
+        self.observation_space = Box(-np.inf, np.inf, (self._layout.size,), np.float64)
+
+    def observation(self, observation: dict[str, ndarray]) -> Float[ndarray, "O"]:
+        """Return the parts one after another."""
+        return self._layout.vector(observation)
+
+
+class GoalTask:
+    """What hindsight relabelling has to know of a task, on vectors that :class:`GoalObservation` makes.
+
+    Rewards and terminations are the environment's own. They are asked for step by step, since not every environment
+    takes arrays of goals.
+
+    Args:
+        rules: the environment's.
+        layout: of its observations.
+    """
+
+    def __init__(self, rules: GoalRules, layout: GoalLayout):
+        self._rules, self._layout = rules, layout
+
     def achieved(self, observation: Float[ndarray, "*T O"]) -> Float[ndarray, "*T G"]:
         """Return the goal that each observation fulfils."""
+        return self._layout.achieved(observation)
 
-    @abstractmethod
     def with_goal(self, observation: Float[ndarray, "*T O"], goal: Float[ndarray, "*T G"]) -> Float[ndarray, "*T O"]:
         """Return the observations as they would be if the goals were these."""
+        return self._layout.with_goal(observation, goal)
 
-    @abstractmethod
     def outcome(
         self, achieved: Float[ndarray, "*T G"], goal: Float[ndarray, "*T G"]
     ) -> tuple[Float[ndarray, "*T"], Bool[ndarray, "*T"]]:
         """Return the reward for arriving at ``achieved`` and whether the episode terminates there."""
-
-
-class DictGoalTask(GoalTask):
-    """Goals of a Gymnasium goal environment, on the vector that ``GoalObservation`` makes of its dictionary.
-
-    Rewards and terminations are the environment's own, by its ``compute_reward`` and, if it has one,
-    ``compute_terminated``. They are asked for step by step, since not every environment takes arrays of goals.
-
-    Args:
-        env: that has them; it is not stepped.
-    """
-
-    def __init__(self, env: gymnasium.Env):
-        self._env: Any = env.unwrapped
-        first, second, third = goal_sizes(env)
-        self._achieved = slice(first, first + second)
-        self._desired = slice(first + second, first + second + third)
-
-    def achieved(self, observation: Float[ndarray, "*T O"]) -> Float[ndarray, "*T G"]:
-        """Return the achieved goals."""
-        return observation[..., self._achieved]
-
-    def with_goal(self, observation: Float[ndarray, "*T O"], goal: Float[ndarray, "*T G"]) -> Float[ndarray, "*T O"]:
-        """Return the observations with other desired goals."""
-        relived = observation.copy()
-        relived[..., self._desired] = goal
-        return relived
-
-    def outcome(
-        self, achieved: Float[ndarray, "*T G"], goal: Float[ndarray, "*T G"]
-    ) -> tuple[Float[ndarray, "*T"], Bool[ndarray, "*T"]]:
-        """Return the environment's rewards and terminations."""
         pairs = list(zip(achieved.reshape(-1, achieved.shape[-1]), goal.reshape(-1, goal.shape[-1]), strict=True))
-        rewards = np.array([float(self._env.compute_reward(*pair, {})) for pair in pairs])
-        ends = getattr(self._env, "compute_terminated", None)
-        terminated = np.array([ends is not None and bool(ends(*pair, {})) for pair in pairs])
+        rewards = np.array([float(self._rules.compute_reward(*pair, {})) for pair in pairs])
+        ends = getattr(self._rules, "compute_terminated", None)
+        terminated = np.array([ends is not None and bool(ends(*pair, {})) for pair in pairs], dtype=np.bool_)
         return rewards.reshape(achieved.shape[:-1]), terminated.reshape(achieved.shape[:-1])

@@ -17,13 +17,12 @@ from nerf_rl.errors import UserError
 from nerf_rl.machine.gl import use_one_software_thread
 from nerf_rl.rl.config import BLIND, NO_CONTROL, RANDOM, PandaReachConfig
 from nerf_rl.rl.environments.encoder_match import compare_scenes
-from nerf_rl.rl.environments.goals import DictGoalTask, GoalTask
+from nerf_rl.rl.environments.goals import GoalTask, goal_layout, has_goal
 from nerf_rl.rl.environments.observed_columns import ObservedColumns
-from nerf_rl.rl.environments.panda_reach import PANDA_REACH, PandaReach, reach_task
+from nerf_rl.rl.environments.panda_reach import PANDA_REACH, PandaReach
 from nerf_rl.rl.environments.wrappers import (
     ActionRepeat,
     StateObservation,
-    has_goal,
     with_flat_observation,
     with_unit_actions,
 )
@@ -96,10 +95,8 @@ def make_env(spec: EnvSpec, encoder: Any = None, device: str = "cpu") -> tuple[g
 
 def make_goal_task(spec: EnvSpec) -> GoalTask | None:
     """Return what hindsight needs to know of a task; None for scenes whose goals cannot be exchanged."""
-    if spec.scene == PANDA_REACH:
-        return reach_task(spec.panda)
-    env = _make_scene(spec).env
-    return DictGoalTask(env) if spec.encoder is None and has_goal(env) else None
+    env: Any = PandaReach(spec.panda) if spec.scene == PANDA_REACH else _make_scene(spec).env
+    return GoalTask(env.unwrapped, goal_layout(env)) if spec.encoder is None and has_goal(env) else None
 
 
 def check_scene(spec: EnvSpec) -> tuple[str, ...]:

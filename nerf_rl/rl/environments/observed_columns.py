@@ -13,7 +13,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from nerf_rl.errors import UnknownNameError
-from nerf_rl.rl.environments.wrappers import ACHIEVED, DESIRED
+from nerf_rl.rl.environments.goals import ACHIEVED, DESIRED
 from nerf_rl.scenes.base import Scene
 
 _AXES = ("_x", "_y", "_z")

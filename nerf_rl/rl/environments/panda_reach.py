@@ -3,78 +3,61 @@
 import contextlib
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import gymnasium
 import numpy as np
-from jaxtyping import Bool, Float
+from gymnasium.spaces import Box, Dict
+from jaxtyping import Float
 from numpy import ndarray
 
 from nerf_rl.machine.extras import import_extra
 from nerf_rl.rl.config import PandaReachConfig
-from nerf_rl.rl.environments.goals import GoalTask
+from nerf_rl.rl.environments.goals import ACHIEVED, DESIRED, OBSERVATION
 
 PANDA_REACH = "panda/reach"
 REACHED_BELOW = 0.05  # [m] the distance at which panda-gym ends an episode
-COLUMNS = {
-    "full": ("joint_angles", "velocity", "position", "goal", "displacement"),
-    "paper": ("joint_angles", "position", "goal"),
-    "panda-gym": ("velocity", "position", "goal"),
-}
-"""Parts of each kind of observation, in their order."""
-WIDTHS = {"joint_angles": 7, "velocity": 3, "position": 3, "goal": 3, "displacement": 3}
+_JOINTS, _GOAL = 7, 3
+_OWN = {"full": _JOINTS + 3, "paper": _JOINTS, "panda-gym": 3}
+"""Numbers that each kind of observation has beside the goals: angles of the joints, velocity of the end-effector."""
 
 
-class ReachTask(GoalTask):
-    """Goals and rewards of PandaReach, on its flat observation.
+class ReachRules:
+    """Rewards and terminations of PandaReach.
 
     ``dense`` is minus the distance [m]; ``bonus`` adds 1 on arrival; ``sparse`` is 1 on arrival and 0 before. Arriving
     ends the episode.
 
     Args:
         reward: which of them.
-        columns: of the observation, see :data:`COLUMNS`.
     """
 
-    def __init__(self, reward: str, columns: Sequence[str]):
+    def __init__(self, reward: str):
         self._reward = reward
-        ends = np.cumsum([WIDTHS[column] for column in columns]).tolist()
-        self._place = {column: slice(end - WIDTHS[column], end) for column, end in zip(columns, ends, strict=True)}
 
-    def achieved(self, observation: Float[ndarray, "*T O"]) -> Float[ndarray, "*T 3"]:
-        """Return the position of the end-effector [m]."""
-        return observation[..., self._place["position"]]
+    def compute_reward(
+        self, achieved_goal: Float[ndarray, "3"], desired_goal: Float[ndarray, "3"], info: dict[str, Any]
+    ) -> float:
+        """Return the reward for arriving at a position [m] where another is the goal."""
+        distance = np.linalg.norm(achieved_goal - desired_goal, axis=-1)
+        reward = 0.0 if self._reward == "sparse" else -distance
+        return float(reward + (0.0 if self._reward == "dense" else distance < REACHED_BELOW))
 
-    def with_goal(self, observation: Float[ndarray, "*T O"], goal: Float[ndarray, "*T 3"]) -> Float[ndarray, "*T O"]:
-        """Return the observations with another goal."""
-        relived = observation.copy()
-        relived[..., self._place["goal"]] = goal
-        if "displacement" in self._place:
-            relived[..., self._place["displacement"]] = goal - self.achieved(observation)
-        return relived
-
-    def outcome(
-        self, achieved: Float[ndarray, "*T 3"], goal: Float[ndarray, "*T 3"]
-    ) -> tuple[Float[ndarray, "*T"], Bool[ndarray, "*T"]]:
-        """Return rewards and terminations."""
-        distance = np.linalg.norm(achieved - goal, axis=-1)
-        reached = np.asarray(distance < REACHED_BELOW)
-        reward = np.zeros_like(distance) if self._reward == "sparse" else -distance
-        return np.asarray(reward + (0.0 if self._reward == "dense" else reached)), reached
-
-
-def reach_task(config: PandaReachConfig) -> ReachTask:
-    """Return the task that belongs to a configuration."""
-    return ReachTask(config.reward, COLUMNS[config.observation])
+    def compute_terminated(
+        self, achieved_goal: Float[ndarray, "3"], desired_goal: Float[ndarray, "3"], info: dict[str, Any]
+    ) -> bool:
+        """Tell whether that is near enough to end the episode."""
+        return bool(np.linalg.norm(achieved_goal - desired_goal, axis=-1) < REACHED_BELOW)
 
 
 class PandaReach(gymnasium.Env):
-    """panda-gym's simulation with a flat observation, the choice of reward, and ``success`` in the information.
+    """panda-gym's simulation as a goal environment with a choice of observation and reward, and ``success`` told.
 
-    The observation is float32: of angles of the 7 joints [rad], velocity of the end-effector [m/s], its position [m],
-    the goal [m] and the displacement to it [m], those in :data:`COLUMNS`. ``joints`` takes 7 actions, changes of angles
-    of up to 0.05 rad a step; ``ee`` takes 3, displacements of up to 0.05 m.
+    The observation is a dictionary: position of the end-effector [m] (achieved), goal [m] (desired), and beside them
+    the angles of the 7 joints [rad] (``paper``), the velocity of the end-effector [m/s] (``panda-gym``) or both
+    (``full``; agents then see the displacement to the goal, too). ``joints`` takes 7 actions, changes of angles of up
+    to 0.05 rad a step; ``ee`` takes 3, displacements of up to 0.05 m.
 
     Args:
         config: control, reward and observation.
@@ -90,23 +73,26 @@ class PandaReach(gymnasium.Env):
         with _without_greeting():
             envs = import_extra("panda_gym.envs", "panda", f"scene {PANDA_REACH}")
             self._simulation: Any = envs.PandaReachEnv(reward_type="dense", control_type=config.control)
-        self._columns = COLUMNS[config.observation]
-        self._task = reach_task(config)
-        size = sum(WIDTHS[column] for column in self._columns)
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        self._kind = config.observation
+        self.observes_displacement = config.observation == "full"
+        rules = ReachRules(config.reward)
+        self.compute_reward, self.compute_terminated = rules.compute_reward, rules.compute_terminated
+        sizes = {OBSERVATION: _OWN[config.observation], ACHIEVED: _GOAL, DESIRED: _GOAL}
+        self.observation_space = Dict({name: Box(-np.inf, np.inf, (size,)) for name, size in sizes.items()})
         actions = self._simulation.action_space.shape
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, actions, np.float32)
+        self.action_space = Box(-1.0, 1.0, actions, np.float32)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[ndarray, dict]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict, dict]:
         """Start an episode at the neutral pose, with a random goal."""
         observation, _ = self._simulation.reset(seed=seed)
-        return self._flat(observation), {}
+        return self._observed(observation), {}
 
-    def step(self, action: ndarray) -> tuple[ndarray, float, bool, bool, dict[str, Any]]:
+    def step(self, action: ndarray) -> tuple[dict, float, bool, bool, dict[str, Any]]:
         """Act for one step of 0.04 s."""
         observation = self._simulation.step(np.asarray(action, np.float32))[0]
-        reward, reached = self._task.outcome(observation["achieved_goal"], observation["desired_goal"])
-        return self._flat(observation), float(reward), bool(reached), False, {"success": bool(reached)}
+        goals = observation[ACHIEVED], observation[DESIRED]
+        reward, reached = self.compute_reward(*goals, {}), self.compute_terminated(*goals, {})
+        return self._observed(observation), reward, reached, False, {"success": reached}
 
     def render(self) -> ndarray:
         """Return a picture of the robot and the goal, uint8 [480, 720, 3]."""
@@ -116,16 +102,11 @@ class PandaReach(gymnasium.Env):
         """Disconnect from the simulator."""
         self._simulation.close()
 
-    def _flat(self, observation: dict[str, ndarray]) -> Float[ndarray, "O"]:
-        robot = self._simulation.robot
-        parts = {
-            "joint_angles": [robot.get_joint_angle(joint=joint) for joint in range(7)],
-            "velocity": observation["observation"][3:],
-            "position": observation["achieved_goal"],
-            "goal": observation["desired_goal"],
-            "displacement": observation["desired_goal"] - observation["achieved_goal"],
-        }
-        return np.concatenate([parts[column] for column in self._columns]).astype(np.float32)
+    def _observed(self, observation: dict[str, ndarray]) -> dict[str, ndarray]:
+        robot, velocity = self._simulation.robot, observation[OBSERVATION][3:]
+        angles = [robot.get_joint_angle(joint=joint) for joint in range(_JOINTS)]
+        own = {"full": [*angles, *velocity], "paper": angles, "panda-gym": velocity}[self._kind]
+        return {OBSERVATION: np.array(own), ACHIEVED: observation[ACHIEVED], DESIRED: observation[DESIRED]}
 
 
 @contextlib.contextmanager

@@ -4,16 +4,13 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.spaces import Box, Dict
+from gymnasium.spaces import Box
 from gymnasium.wrappers import FlattenObservation, RescaleAction
-from jaxtyping import Float
 from numpy import ndarray
 
 from nerf_rl.errors import UserError
+from nerf_rl.rl.environments.goals import GoalObservation, has_goal
 from nerf_rl.scenes.base import success_in
-
-OBSERVATION, ACHIEVED, DESIRED = "observation", "achieved_goal", "desired_goal"
-"""parts of a goal environment's observation, after Gymnasium-Robotics"""
 
 
 class ActionRepeat(gymnasium.Wrapper):
@@ -61,35 +58,6 @@ class StateObservation(gymnasium.ObservationWrapper):
     def observation(self, observation: ndarray) -> ndarray:
         """Return the same numbers as float32."""
         return observation.astype(np.float32)
-
-
-class GoalObservation(gymnasium.ObservationWrapper):
-    """A goal environment's dictionary as one vector: observation, achieved goal, desired goal."""
-
-    def __init__(self, env: gymnasium.Env):
-        super().__init__(env)
-        assert has_goal(env)
-        size = sum(goal_sizes(env))
-        self.observation_space = Box(-np.inf, np.inf, (size,), np.float64)
-
-    def observation(self, observation: dict[str, ndarray]) -> Float[ndarray, "O"]:
-        """Return the parts one after another."""
-        return np.concatenate([np.ravel(observation[part]) for part in (OBSERVATION, ACHIEVED, DESIRED)])
-
-
-def has_goal(env: gymnasium.Env) -> bool:
-    """Tell whether an environment is one with exchangeable goals, as Gymnasium-Robotics defines them."""
-    space = env.observation_space
-    parts = isinstance(space, Dict) and set(space.spaces) == {OBSERVATION, ACHIEVED, DESIRED}
-    return parts and hasattr(env.unwrapped, "compute_reward")
-
-
-def goal_sizes(env: gymnasium.Env) -> tuple[int, int, int]:
-    """Return how many numbers the observation, the achieved goal and the desired goal have."""
-    space = env.observation_space
-    assert isinstance(space, Dict)
-    first, second, third = (int(np.prod(space[part].shape or ())) for part in (OBSERVATION, ACHIEVED, DESIRED))
-    return first, second, third
 
 
 def with_flat_observation(env: gymnasium.Env) -> gymnasium.Env:
