@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from nerf_rl.rl.agents.ddpg import DDPG, soft_update
+from nerf_rl.rl.agents.ddpg import DDPG, Target
 from nerf_rl.rl.agents.networks import Actor, Critic
 from nerf_rl.rl.agents.normalisation import RunningNorm
 from nerf_rl.rl.config import LearnerConfig, NetworkConfig, ReplayConfig
@@ -61,16 +61,18 @@ def test_every_normalisation_learns_and_acts_on_a_single_observation(kind: str) 
     learner = agent(normalisation=kind)
     learner.update_critic(batch())
     learner.update_actor(batch().observation)
-    soft_update(learner.critic, learner.target_critic, 0.5)
+    Target(learner.critic, 0.5).follow()
     assert learner.act(np.zeros((1, 3), np.float32)).shape == (1, 2)
 
 
-def test_soft_update_moves_by_tau_and_repeats_to_a_geometric_series() -> None:
-    network, target = torch.nn.Linear(3, 2), torch.nn.Linear(3, 2)
-    start = target.weight.detach().clone()
+def test_a_target_moves_by_tau_and_repeats_to_a_geometric_series() -> None:
+    network = torch.nn.Linear(3, 2)
+    target, start = Target(network, 0.1), network.weight.detach().clone()
+    with torch.no_grad():
+        network.weight += 1.0
     for _ in range(5):
-        soft_update(network, target, 0.1)
-    assert torch.allclose(target.weight, network.weight + 0.9**5 * (start - network.weight))
+        target.follow()
+    assert torch.allclose(target.copy.weight, network.weight + 0.9**5 * (start - network.weight))
 
 
 def test_the_actors_step_leaves_the_critic_alone_and_the_critics_step_the_actor() -> None:

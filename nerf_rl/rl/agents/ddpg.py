@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from numpy import ndarray
 from torch import Tensor, nn
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from nerf_rl.rl.agents.diagnosis import diagnose
 from nerf_rl.rl.agents.networks import Actor, Critic
@@ -22,13 +23,29 @@ Metrics = dict[str, float]
 _DIAGNOSED = 256  # observations
 
 
-@torch.no_grad()
-def soft_update(network: nn.Module, target: nn.Module, tau: float) -> None:
-    """Move the target's parameters by the share ``tau`` towards the network's; copy buffers (batch statistics)."""
-    for parameter, source in zip(target.parameters(), network.parameters(), strict=True):
-        parameter.lerp_(source, tau)
-    for buffer, statistics in zip(target.buffers(), network.buffers(), strict=True):
-        buffer.copy_(statistics)
+class Target:
+    """A network and its slow copy; to walk through their modules for each update would take as long as a layer.
+
+    Args:
+        network: to copy.
+        tau: share of the network that enters the copy in each update.
+
+    Attributes:
+        copy: the slow copy, which receives no gradient.
+    """
+
+    def __init__(self, network: nn.Module, tau: float):
+        self.copy = copy.deepcopy(network).requires_grad_(False).eval()
+        self._average = get_ema_multi_avg_fn(1.0 - tau)
+        self._parameters = list(self.copy.parameters()), list(network.parameters())
+        self._statistics = list(zip(self.copy.buffers(), network.buffers(), strict=True))
+
+    @torch.no_grad()
+    def follow(self) -> None:
+        """Move the copy's parameters by the share tau towards the network's; copy buffers (batch statistics)."""
+        self._average(*self._parameters, None)
+        for slow, statistics in self._statistics:
+            slow.copy_(statistics)
 
 
 class DDPG:
@@ -61,8 +78,8 @@ class DDPG:
         with contextlib.nullcontext() if device is None else torch.device(device):
             self.actor = Actor(*self._sizes, network)
             self.critic = Critic(*self._sizes, network)
-        self.target_actor = copy.deepcopy(self.actor).requires_grad_(False).eval()
-        self.target_critic = copy.deepcopy(self.critic).requires_grad_(False).eval()
+        self._slow_actor, self._slow_critic = (Target(each, learner.tau) for each in (self.actor, self.critic))
+        self.target_actor, self.target_critic = self._slow_actor.copy, self._slow_critic.copy
         self.actor_optimiser = torch.optim.Adam(self.actor.parameters(), lr=learner.actor_rate, fused=True)
         self.critic_optimiser = torch.optim.Adam(self.critic.parameters(), lr=learner.critic_rate, fused=True)
         self.actor.eval()
@@ -126,14 +143,14 @@ class DDPG:
         batch = self._standardise(replay.sample(beta))
         critic_metrics, error = self.update_critic(batch)
         replay.update_priority(batch.indices, error.cpu())
-        soft_update(self.critic, self.target_critic, self.learner.tau)
+        self._slow_critic.follow()
         self.updates += 1
         if self.updates % self.learner.actor_every:
             return critic_metrics
         own = self.learner.actor_batch == "uniform" and replay.prioritised
         observation = self.norm(replay.sample_observations().to(self.device)) if own else batch.observation
         actor_metrics = self.update_actor(observation)
-        soft_update(self.actor, self.target_actor, self.learner.tau)
+        self._slow_actor.follow()
         return critic_metrics | actor_metrics
 
     def update_critic(self, batch: Batch) -> tuple[Metrics, Float[Tensor, "B"]]:
@@ -177,7 +194,8 @@ class DDPG:
     def _standardise(self, batch: Batch) -> Batch:
         """Return a batch on the networks' device, all but the places, with standardised observations."""
         batch = Batch(batch.indices, *(tensor.to(self.device) for tensor in batch[1:]))
-        observation, next_observation = self.norm(batch.observation), self.norm(batch.next_observation)
+        both = self.norm(torch.stack([batch.observation, batch.next_observation]))
+        observation, next_observation = both.unbind()
         return batch._replace(observation=observation, next_observation=next_observation)
 
     @contextlib.contextmanager

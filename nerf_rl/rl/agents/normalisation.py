@@ -42,7 +42,7 @@ class RunningNorm(nn.Module):
         """The divisor."""
         return (self.squares / self.count.clamp_min(1)).sqrt().clamp_min(self._floor)
 
-    def forward(self, observation: Float[Tensor, "B O"]) -> Float[Tensor, "B O"]:
+    def forward(self, observation: Float[Tensor, "*B O"]) -> Float[Tensor, "*B O"]:
         """Standardise; the identity before anything has been seen."""
         standardised = (observation - self.mean.float()) / self.std.float()
         return torch.where(self.count == 0, observation, standardised)
