@@ -16,6 +16,8 @@ ENCODER := runs/$(DEMO)/encoder
 AGENT := runs/$(DEMO)/agent
 REPORT := runs/$(DEMO)/report.html
 DATA_KEYS :=
+# Two thirds of the recipe's training, so that the demo is over in twelve minutes; ENCODER_BUDGET= trains to the end
+ENCODER_BUDGET := --steps 2000 --max_minutes 4.75
 ENCODER_KEYS :=
 AGENT_KEYS :=
 REPORT_KEYS :=
@@ -54,7 +56,7 @@ $(DATA)/summary.json: | $(READY)
 	$(call stage,gen-dataset,--config datasets/demo.yaml --out $(DATA) --resume true $(DATA_KEYS))
 
 $(ENCODER)/summary.json: | $(DATA)/summary.json
-	$(call stage,pretrain,--config pretrain/demo.yaml --data $(DATA) --out $(ENCODER) --resume true $(ENCODER_KEYS))
+	$(call stage,pretrain,--config pretrain/demo.yaml --data $(DATA) --out $(ENCODER) --resume true $(ENCODER_BUDGET) $(ENCODER_KEYS))
 
 $(AGENT)/summary.json: | $(ENCODER)/summary.json
 	$(call stage,train-rl,--config rl/demo.yaml --encoder $(ENCODER) --out $(AGENT) --resume true $(AGENT_KEYS))
