@@ -89,6 +89,12 @@ COMMANDS = {
         "nerf_rl.report.report:write_report",
         "gather a dataset, an encoder and an agent into one self-contained HTML page",
     ),
+    "push": Command(
+        "nerf_rl.push.config:PushConfig",
+        "nerf_rl.push.push:push",
+        "put an encoder or an agent on the Hugging Face Hub, with a card, or into a folder",
+        positional="run",
+    ),
     "doctor": Command(
         "nerf_rl.doctor.config:DoctorConfig",
         "nerf_rl.doctor.doctor:doctor",

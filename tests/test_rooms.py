@@ -10,14 +10,14 @@ import nerf_rl
 
 ROOT = Path(nerf_rl.__file__).parent
 ORDER = [
-    "machine files arguments cameras pictures",
+    "machine files arguments cameras pictures hub",
     "scenes",
     "rendering",
     "datasets",
     "pretrain",
     "rl",
     "tuning",
-    "viewer report doctor",
+    "viewer report doctor push",
 ]
 """Packages from the lowest to the highest; those of a line are neighbours."""
 MOST_FILES = 15

@@ -14,6 +14,7 @@ EXTRAS = {
     "sb3": ("stable_baselines3", "stable-baselines3"),
     "ray": ("ray", "ray"),
     "browser": ("playwright", "playwright"),
+    "hub": ("huggingface_hub", "huggingface_hub"),
 }
 _GLIBC_OF_OPEN3D = (2, 35)  # which its wheels for Python 3.13 are built for
 

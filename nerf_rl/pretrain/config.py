@@ -246,7 +246,7 @@ class ProbeConfig:
     """Keys of ``nerf-rl probe``."""
 
     encoder: str
-    """run folder, exported encoder or Lightning checkpoint"""
+    """run folder, exported encoder, Lightning checkpoint or hf://USER/NAME (extra hub)"""
     data: str
     """dataset folder, rendered with the encoder's camera rig"""
     out: str | None = None

@@ -193,7 +193,8 @@ class TrainRLConfig:
     out: str
     """run folder"""
     encoder: str = NO_ENCODER
-    """run folder of pretrain, exported encoder or Lightning .ckpt; none observes the true state"""
+    """run folder of pretrain, exported encoder, Lightning .ckpt, or hf://USER/NAME[@REVISION] (extra hub); none
+    observes the true state"""
     scene: str = "metaworld/drawer-open-v3"
     """metaworld/TASK, gym/ID, gym/MODULE:ID or panda/reach (extra panda); with an encoder, the encoder's scene"""
     control: str = NO_CONTROL
@@ -316,11 +317,11 @@ class EvaluateConfig:
     """Keys of ``nerf-rl evaluate``."""
 
     run: str
-    """run folder of train-rl"""
+    """run folder of train-rl, or hf://USER/NAME[@REVISION] of an agent (extra hub)"""
     out: str
     """output folder"""
     encoder: str = ""
-    """where the encoder is now, if it has moved since training"""
+    """where the encoder is now, if it has moved since training: a folder, or hf://USER/NAME"""
     episodes: int = 20
     """episodes to count"""
     envs: int = 2

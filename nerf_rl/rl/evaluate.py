@@ -8,7 +8,7 @@ import numpy as np
 from nerf_rl.files.json_files import write_json
 from nerf_rl.files.outputs import SUMMARY, prepare_output, write_provenance
 from nerf_rl.machine.devices import check_device, resolve_device
-from nerf_rl.rl.agents.policy_file import check_policy
+from nerf_rl.rl.agents.policy_file import check_policy, find_run
 from nerf_rl.rl.config import EvaluateConfig
 from nerf_rl.rl.environments.encoder_match import warn_of_workers_rendering
 from nerf_rl.rl.training.evaluation_results import describe_episodes
@@ -26,7 +26,7 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
     Raises:
         UserError: no policy there, not its encoder, no such device, an existing output folder.
     """
-    run, out = Path(config.run), Path(config.out)
+    run, out = find_run(config.run), Path(config.out)
     check_policy(run, config.encoder)
     check_device(config.device)
     prepare_output(out, config.overwrite)
@@ -49,17 +49,19 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
         envs.close(terminate=True)
     summary |= {"env_steps": policy.env_steps}
     if config.video:
-        _write_video(out / VIDEO, config, policy, seeds[: config.video_episodes], str(device))
+        _write_video(out / VIDEO, config, run, policy, seeds[: config.video_episodes], str(device))
         summary["video"] = VIDEO
     write_json(out / SUMMARY, summary)
     print(describe_episodes(summary))
     return summary
 
 
-def _write_video(path: Path, config: EvaluateConfig, policy: "Policy", seeds: list[int], device: str) -> None:
+def _write_video(
+    path: Path, config: EvaluateConfig, run: Path, policy: "Policy", seeds: list[int], device: str
+) -> None:
     from nerf_rl.pictures.video import write_mp4
     from nerf_rl.rl.rollout import film, rollout
 
-    clips = [film(rollout(config.run, seed, "", config.video_size, policy, device)) for seed in seeds]
+    clips = [film(rollout(run, seed, "", config.video_size, policy, device)) for seed in seeds]
     held = [np.concatenate([clip, np.repeat(clip[-1:], _HOLD_FRAMES, axis=0)]) for clip in clips]
     write_mp4(path, np.concatenate(held), frames_per_second=20.0)

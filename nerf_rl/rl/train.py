@@ -1,5 +1,6 @@
 """``nerf-rl train-rl``: from an encoder (or the true state) to a policy."""
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -7,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 from nerf_rl.arguments.stored_keys import require_same_keys
 from nerf_rl.errors import UserError
 from nerf_rl.files.outputs import prepare_output, write_provenance
+from nerf_rl.hub.address import is_address
+from nerf_rl.hub.fetch import lasting
 from nerf_rl.loggers import require_loggers
 from nerf_rl.machine.devices import check_device, resolve_device
 from nerf_rl.machine.extras import import_extra
@@ -38,9 +41,11 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
             existing run, a full disk, an extra that is not installed, a device that is not there.
         FailureError: some of several seeds failed.
     """
-    encoder = None if config.encoder == NO_ENCODER else str(Path(config.encoder).resolve())
+    encoder = None if config.encoder == NO_ENCODER else lasting(config.encoder)
     if encoder is not None:
         check_encoder_scene(encoder, config.scene)
+        if is_address(encoder):  # what it stands for may change before the run is resumed
+            config = dataclasses.replace(config, encoder=encoder)
     check_device(config.device)
     require_loggers(config.loggers)
     is_baseline = config.algo in BASELINES

@@ -14,7 +14,7 @@ class ViewConfig:
     """Keys of ``nerf-rl view``."""
 
     path: str
-    """dataset folder, run folder of pretrain or run folder of train-rl; may be given without its key"""
+    """dataset folder, run folder of pretrain or train-rl, or hf://USER/NAME of either; may be given without its key"""
     data: str = ""
     """dataset to look at through an encoder; by default the one it was trained on"""
     encoder: str = ""

@@ -1,12 +1,14 @@
 """``nerf-rl view``: find out what the path is, and show or save it."""
 
+import dataclasses
 from pathlib import Path
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import OutputExistsError
+from nerf_rl.hub.fetch import resolve
 from nerf_rl.machine.devices import check_device
 from nerf_rl.machine.threads import wait_passively
-from nerf_rl.rl.agents.policy_file import check_policy
+from nerf_rl.rl.agents.policy_file import check_policy, find_run
 from nerf_rl.viewer.config import ViewConfig
 from nerf_rl.viewer.pages.agent_page import save_agent, serve_agent
 from nerf_rl.viewer.pages.dataset_page import save_dataset, serve_dataset
@@ -20,7 +22,11 @@ def view(config: ViewConfig) -> None:
     Raises:
         UserError: nothing there to view, a file exists, the port is taken, no such device.
     """
-    subject = find_subject(Path(config.path))
+    folder = resolve(config.path)
+    subject = find_subject(folder)
+    if subject is Subject.AGENT:
+        find_run(config.path)  # which refuses what somebody else's agent must not do
+    config = dataclasses.replace(config, path=str(folder))
     check_device(config.device)
     for path in config.files.values():
         if path.exists() and not config.overwrite:

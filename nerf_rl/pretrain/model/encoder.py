@@ -139,10 +139,12 @@ class Encoder(nn.Module):
         """Read a frozen encoder.
 
         Args:
-            path: a run folder, the folder or a file of an exported encoder, or a Lightning checkpoint of a run.
+            path: a run folder, the folder or a file of an exported encoder, a Lightning checkpoint of a run, or an
+                address on the Hub: ``hf://USER/NAME``, or ``hf://USER/NAME@REVISION`` (extra ``hub``).
 
         Raises:
             MissingFileError: there is no encoder at the path, or it is damaged.
+            UserError: an address that nothing can be fetched from.
         """
         folder, description = read_description(path)
         file = Path(path) if is_checkpoint(path) else folder / WEIGHTS

@@ -9,6 +9,7 @@ from nerf_rl.datasets.storage.stored_manifest import LARGEST_IMAGE
 from nerf_rl.errors import MissingFileError
 from nerf_rl.files.json_files import read_json
 from nerf_rl.files.structure import array, listing, mapping, number, one_of, optional, table, text, whole
+from nerf_rl.hub.fetch import resolve
 
 WEIGHTS = "encoder.safetensors"
 DESCRIPTION = "encoder.json"
@@ -57,14 +58,16 @@ def read_description(path: Path | str) -> tuple[Path, dict[str, Any]]:
     A checkpoint carries a description of its own, so that one of a run without an export can be used as well.
 
     Args:
-        path: a run folder, the folder or a file of an exported encoder, or a Lightning checkpoint.
+        path: a run folder, the folder or a file of an exported encoder, a Lightning checkpoint, or an address on the
+            Hub (``hf://USER/NAME``).
 
     Raises:
         MissingFileError: there is no encoder at the path, its description is damaged, or of another format.
+        UserError: an address that nothing can be fetched from.
     """
-    path = Path(path)
+    named, path = path, resolve(path)
     if not path.exists():
-        raise MissingFileError("an encoder", path, "it does not exist", _REMEDY)
+        raise MissingFileError("an encoder", named, "it does not exist", _REMEDY)
     candidates = [path] if path.is_dir() else [path.parent, path.parent.parent]
     folder = next((c for c in candidates if (c / DESCRIPTION).is_file() and (c / WEIGHTS).is_file()), None)
     if is_checkpoint(path):
@@ -73,7 +76,7 @@ def read_description(path: Path | str) -> tuple[Path, dict[str, Any]]:
         run = path.parent.parent if path.parent.name == "checkpoints" else path.parent
         return folder or run, _checked(path, path.name, described_encoder(path))
     if folder is None:
-        raise MissingFileError("an encoder", path, f"there is no {DESCRIPTION} with its {WEIGHTS}", _REMEDY)
+        raise MissingFileError("an encoder", named, f"there is no {DESCRIPTION} with its {WEIGHTS}", _REMEDY)
     try:
         description = read_json(folder / DESCRIPTION)
     except (OSError, ValueError) as error:

@@ -7,11 +7,15 @@ from typing import Any
 from nerf_rl.errors import MissingFileError, UserError
 from nerf_rl.files.json_files import read_json
 from nerf_rl.files.structure import flag, listing, mapping, number, one_of, optional, text, whole
+from nerf_rl.hub.address import is_address
+from nerf_rl.hub.fetch import ENCODER_IN_AGENT, lasting, resolve
 from nerf_rl.pretrain.model.encoder_file import WEIGHTS, is_checkpoint, read_description
 from nerf_rl.rl.config import CONTROLS
 
 POLICY_VERSION = 2
 POLICY_WEIGHTS, POLICY_DESCRIPTION = "policy.safetensors", "policy.json"
+_KNOWN_MODULES = ("gymnasium_robotics",)
+"""which register environments and do nothing else, and may be imported because an agent of somebody else asks for it"""
 _SIZE = whole(1, 2**20)
 _WIDTHS = listing(_SIZE, 0, 64)
 _STRUCTURE = mapping(
@@ -57,6 +61,32 @@ def encoder_digest(encoder: str | Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def find_run(run: str) -> Path:
+    """Return the folder of a run of train-rl, which is fetched if its address on the Hub is given.
+
+    What somebody else has written decides neither which modules are imported here nor which files are opened.
+
+    Raises:
+        MissingFileError: there is no policy at the address.
+        UserError: nothing can be fetched from the address, or its agent asks for more.
+    """
+    folder = resolve(run)
+    if not is_address(run):
+        return folder
+    from nerf_rl.scenes.base import GYM  # it takes MuJoCo's time to import
+
+    env = _read_policy(folder)["env"]
+    module, _, _ = env["scene"].removeprefix(GYM).rpartition(":")
+    if module and module not in _KNOWN_MODULES:
+        raise UserError(
+            f"the agent {run} acts in {env['scene']}, for which the module {module} would be imported because somebody "
+            f"else's file says so; if you trust it, give its folder instead: {folder}"
+        )
+    if env["encoder"] not in (None, ENCODER_IN_AGENT):
+        raise UserError(f"the agent {run} wants an encoder from elsewhere: {env['encoder']}; it is not opened")
+    return folder
+
+
 def check_policy(run: Path, encoder: str = "") -> dict[str, Any]:
     """Return the description of a run's policy.
 
@@ -68,6 +98,21 @@ def check_policy(run: Path, encoder: str = "") -> dict[str, Any]:
         MissingFileError: no policy there, or no encoder where it is said to be.
         UserError: the encoder there is not the one that the policy was trained with.
     """
+    description = _read_policy(run)
+    env = description["env"]
+    if env["encoder"] is not None:
+        env["encoder"] = lasting(encoder) if is_address(encoder) else encoder or _encoder_of(run, env["encoder"])
+        if encoder_digest(env["encoder"]) != description["encoder_digest"]:
+            raise UserError(f"{env['encoder']} is not the encoder that the policy in {run} was trained with")
+    return description
+
+
+def _encoder_of(run: Path, named: str) -> str:
+    """Return where a policy's encoder is: what it says, which is relative to its own folder where it brings its own."""
+    return named if is_address(named) else str(run / named)
+
+
+def _read_policy(run: Path) -> dict[str, Any]:
     for name in (POLICY_DESCRIPTION, POLICY_WEIGHTS):
         if not (run / name).is_file():
             remedy = "train one with nerf-rl train-rl"
@@ -85,9 +130,4 @@ def check_policy(run: Path, encoder: str = "") -> dict[str, Any]:
     except (OSError, ValueError) as error:
         reason = f"its {POLICY_DESCRIPTION} is damaged ({error})"
         raise MissingFileError("a train-rl run with a policy", run, reason, remedy) from error
-    env = description["env"]
-    if env["encoder"] is not None:
-        env["encoder"] = encoder or env["encoder"]
-        if encoder_digest(env["encoder"]) != description["encoder_digest"]:
-            raise UserError(f"{env['encoder']} is not the encoder that the policy in {run} was trained with")
     return description

@@ -5,7 +5,6 @@ import functools
 import multiprocessing
 import signal
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -37,7 +36,7 @@ class EnvSpec:
     scene: str
     """metaworld/TASK, gym/ID or panda/reach"""
     encoder: str | None
-    """path of the encoder, or None to observe the true state"""
+    """path or address of the encoder, or None to observe the true state"""
     action_repeat: int
     """environment steps for which an action is held"""
     episode_steps: int
@@ -84,7 +83,7 @@ def make_env(spec: EnvSpec, encoder: Any = None, device: str = "cpu") -> tuple[g
     def beside_latent(observation: Any) -> ndarray:
         return np.concatenate([proprio(observation), observed(observation)])
 
-    eyes = encoder or Encoder.load(Path(spec.encoder))
+    eyes = encoder or Encoder.load(spec.encoder)
     compare_scenes(eyes.scene, spec.scene)
     eyes = eyes.untrained() if spec.control == RANDOM else eyes
     latent = LatentObservation(env, eyes, beside_latent, device, spec.control == BLIND)

@@ -59,7 +59,7 @@ class LatentObservation(gymnasium.ObservationWrapper):
     ):
         super().__init__(env)
         self._blind = blind
-        self.encoder = Encoder.load(Path(encoder)) if isinstance(encoder, (str, Path)) else encoder
+        self.encoder = Encoder.load(encoder) if isinstance(encoder, (str, Path)) else encoder
         if device is not None:
             self.encoder.to(device)
         self._proprio = proprio

@@ -1,8 +1,12 @@
 """What the results of evaluations look like in the files that keep them, and in words."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+from nerf_rl.errors import MissingFileError
+from nerf_rl.files.json_files import read_json
+from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.files.structure import listing, mapping, number, whole
 
 SUCCESS, LOW, HIGH = "success_rate", "ci_low", "ci_high"
@@ -15,6 +19,26 @@ EVALUATIONS = listing(
     )
 )
 """of training, oldest first, as in ``summary.json`` and in checkpoints"""
+
+
+_SUMMARY = mapping({"evaluations": EVALUATIONS}, others=True)
+
+
+def read_evaluations(run: Path) -> list[dict[str, Any]]:
+    """Return the evaluations of a run, oldest first; none if it has no summary, as while it is trained.
+
+    Raises:
+        MissingFileError: its summary is damaged, or of another kind of run.
+    """
+    path = run / SUMMARY
+    if not path.is_file():
+        return []
+    try:
+        summary = read_json(path)
+        _SUMMARY(summary, "")
+    except (OSError, ValueError) as error:
+        raise MissingFileError("the summary of an agent", path, f"it is damaged ({error})", "train it again") from error
+    return list(summary["evaluations"])
 
 
 def tells_success(evaluations: Sequence[Mapping[str, Any]]) -> bool:

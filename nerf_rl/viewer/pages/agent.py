@@ -11,8 +11,6 @@ import torch
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from nerf_rl.files.json_files import read_json
-from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.pictures.images import surface_limits
 from nerf_rl.pretrain.model.conditioned_field import ConditionedField
 from nerf_rl.pretrain.model.encoder import Encoder
@@ -22,6 +20,7 @@ from nerf_rl.pretrain.model.ray_rendering import RenderedImages
 from nerf_rl.rl.agents.policy import Policy
 from nerf_rl.rl.rollout import Rollout, rollout
 from nerf_rl.rl.training.episodes import evaluation_seeds
+from nerf_rl.rl.training.evaluation_results import read_evaluations
 from nerf_rl.viewer.pages.action_values import ActionValues
 
 
@@ -104,8 +103,7 @@ class Agent:
 
     def evaluations(self) -> list[dict[str, Any]]:
         """Return the evaluations of training; none if it has not ended."""
-        path = self.run / SUMMARY
-        return read_json(path)["evaluations"] if path.is_file() else []
+        return read_evaluations(self.run)
 
     def metrics(self) -> dict[str, ndarray]:
         """Return the columns of ``metrics.csv``; gaps are NaN."""
