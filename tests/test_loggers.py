@@ -70,7 +70,10 @@ def test_a_logger_of_ones_own_stands_in_a_file_outside_the_package(
 @pytest.mark.parametrize(
     "name, message",
     [
-        ("tensorbord", "unknown logger 'tensorbord' (did you mean tensorboard?); available: tensorboard, wandb"),
+        (
+            "tensorbord",
+            "unknown logger 'tensorbord' (did you mean tensorboard?); available: mlflow, tensorboard, wandb",
+        ),
         ("nowhere:Logger", "logger 'nowhere:Logger' cannot be had: ModuleNotFoundError: No module named 'nowhere'"),
         ("json:Logger", "logger 'json:Logger' cannot be had: AttributeError: module 'json' has no attribute 'Logger'"),
     ],
@@ -90,3 +93,53 @@ def test_weights_and_biases_needs_its_extra(
     monkeypatch.setitem(__import__("sys").modules, "wandb", None)
     assert train(tmp_path / "run", "--loggers", "[wandb]") == 2
     assert "--loggers wandb needs the extra 'wandb'" in capsys.readouterr().err
+
+
+def test_weights_and_biases_keeps_a_run_here_without_a_network(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+):
+    pytest.importorskip("wandb", reason="the extra wandb is not installed")
+    for name, text in {"WANDB_MODE": "offline", "WANDB_SILENT": "true", "WANDB_DIR": ""}.items():
+        monkeypatch.setenv(name, text)
+    for name in ("first", "second"):  # in one process, which must not be taken for one run
+        assert train(tmp_path / name, "--loggers", "[wandb]") == 0
+        (kept,) = (tmp_path / name / "wandb").glob("offline-run-*/run-*.wandb")
+        content = kept.read_bytes()
+        assert b"train/critic_loss" in content and b"evaluation/mean_return" in content
+
+
+@pytest.mark.parametrize("command", ["pretrain", "train-rl"])
+def test_mlflow_keeps_a_run_here_without_a_server(
+    command: str,
+    tiny_dataset: Path,
+    tiny_pretraining_recipe: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+):
+    tracking = pytest.importorskip("mlflow.tracking", reason="the extra mlflow is not installed")
+    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    run = tmp_path / "run"
+    if command == "train-rl":
+        assert train(run, "--loggers", "[mlflow]") == 0
+        name = "evaluation/mean_return"
+    else:
+        keys = ["--config", str(tiny_pretraining_recipe), "--data", str(tiny_dataset), "--out", str(run)]
+        assert cli.main(["pretrain", *keys, "--loggers", "[mlflow]", "--log_every", "1"]) == 0
+        name = "validation/psnr_db"
+    client = tracking.MlflowClient(f"sqlite:///{run / 'mlflow.db'}")
+    experiment = client.get_experiment_by_name("nerf-rl")
+    (kept,) = client.search_runs([experiment.experiment_id])
+    assert kept.info.run_name == "run" and kept.info.status == "FINISHED"
+    history = client.get_metric_history(kept.info.run_id, name)
+    if command == "train-rl":
+        summary = json.loads((run / "summary.json").read_text())
+        expected = [(e["env_steps"], pytest.approx(e["mean_return"])) for e in summary["evaluations"]]
+        assert [(point.step, point.value) for point in sorted(history, key=lambda point: point.step)] == expected
+    else:
+        assert history
+
+
+def test_mlflow_needs_its_extra(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(__import__("sys").modules, "mlflow", None)
+    assert train(tmp_path / "run", "--loggers", "[mlflow]") == 2
+    assert "--loggers mlflow needs the extra 'mlflow'" in capsys.readouterr().err

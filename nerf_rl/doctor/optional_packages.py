@@ -15,6 +15,8 @@ EXTRAS = {
     "ray": ("ray", "ray"),
     "browser": ("playwright", "playwright"),
     "hub": ("huggingface_hub", "huggingface_hub"),
+    "wandb": ("wandb", "wandb"),
+    "mlflow": ("mlflow", "mlflow-skinny"),
 }
 _GLIBC_OF_OPEN3D = (2, 35)  # which its wheels for Python 3.13 are built for
 

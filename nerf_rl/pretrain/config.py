@@ -185,7 +185,7 @@ class PretrainConfig:
     log_every: int = 25
     """steps between two rows of the logs"""
     loggers: list[str] = field(default_factory=lambda: [TENSORBOARD])
-    """where curves go besides metrics.csv: tensorboard, wandb, or a Lightning logger of your own by module:Class"""
+    """where curves go besides metrics.csv: tensorboard, wandb, mlflow, or your own Lightning logger by module:Class"""
     seed: int = 0
     """seed of everything random"""
     resume: bool = False

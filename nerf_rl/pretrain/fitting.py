@@ -16,7 +16,7 @@ from lightning.pytorch.loggers import CSVLogger
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.files.json_files import write_json
-from nerf_rl.loggers import make_loggers
+from nerf_rl.loggers import closed_at_end, make_loggers
 from nerf_rl.pretrain.config import FIELD, RANDOM, PretrainConfig
 from nerf_rl.pretrain.data.batches import drawn_frames
 from nerf_rl.pretrain.data.data_module import NO_FRAME, MultiViewDataModule
@@ -85,6 +85,7 @@ def fit(config: PretrainConfig, dataset: MultiViewDataset, folder: Path, checkpo
     warnings.filterwarnings("ignore", module="lightning.pytorch.*")
     lightning.seed_everything(config.seed, verbose=False)
     logs = "logs" if checkpoint is None else f"logs/resumed_{int(time.time())}"  # a logger empties its folder
+    loggers = make_loggers(config.loggers, folder, logs)
     trainer = lightning.Trainer(
         default_root_dir=folder,
         accelerator=accelerator,
@@ -94,7 +95,7 @@ def fit(config: PretrainConfig, dataset: MultiViewDataset, folder: Path, checkpo
         plugins=[environment(config)],
         max_steps=config.steps,
         precision=lightning_precision(precision),
-        logger=[CSVLogger(folder, name="", version=logs), *make_loggers(config.loggers, folder, logs)],
+        logger=[CSVLogger(folder, name="", version=logs), *loggers],
         callbacks=[
             ModelCheckpoint(
                 folder / CHECKPOINT.parent,
@@ -120,11 +121,12 @@ def fit(config: PretrainConfig, dataset: MultiViewDataset, folder: Path, checkpo
     if checkpoint is not None:
         require_resumable(checkpoint, module, trainer)
     try:
-        if config.objective != RANDOM:
-            trainer.fit(module, data, ckpt_path=checkpoint, weights_only=True)
-        torch.set_num_threads(threads)
-        if isinstance(module, SnerlModule) and module.validated_step != trainer.global_step:
-            trainer.validate(module, data, verbose=False)
+        with closed_at_end(loggers):
+            if config.objective != RANDOM:
+                trainer.fit(module, data, ckpt_path=checkpoint, weights_only=True)
+            torch.set_num_threads(threads)
+            if isinstance(module, SnerlModule) and module.validated_step != trainer.global_step:
+                trainer.validate(module, data, verbose=False)
     except SystemExit as error:  # what Lightning makes of an interruption
         raise KeyboardInterrupt from error
     except NotFiniteError as error:

@@ -240,7 +240,7 @@ class TrainRLConfig:
     log_every: int = 1_000
     """environment steps between rows of metrics.csv"""
     loggers: list[str] = field(default_factory=lambda: [TENSORBOARD])
-    """where curves go besides metrics.csv: tensorboard, wandb, or a Lightning logger of your own by module:Class"""
+    """where curves go besides metrics.csv: tensorboard, wandb, mlflow, or your own Lightning logger by module:Class"""
     algo: str = "ddpg"
     """ddpg (ours), an algorithm of your own that learns from replay by module:Class, or by Stable-Baselines3 (extra
     sb3): ppo, with the keys of ppo, or sb3-ddpg, with those of learner, noise and replay that it shares"""

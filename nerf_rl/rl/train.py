@@ -10,7 +10,7 @@ from nerf_rl.errors import UserError
 from nerf_rl.files.outputs import prepare_output, write_provenance
 from nerf_rl.hub.address import is_address
 from nerf_rl.hub.fetch import lasting
-from nerf_rl.loggers import require_loggers
+from nerf_rl.loggers import closed_at_end, require_loggers
 from nerf_rl.machine.devices import check_device, resolve_device
 from nerf_rl.machine.extras import import_extra
 from nerf_rl.progress import Progress
@@ -98,7 +98,10 @@ def _train(config: TrainRLConfig, goal_task: "GoalTask | None", envs: Any, recor
     trainer = Trainer(config, envs, Path(config.out), goal_task)
     pauses = (config.evaluation_every, config.checkpoint_every)
     try:
-        with Progress(config.env_steps, "env steps", done=trainer.env_steps) as progress:
+        with (
+            closed_at_end(trainer.metrics.loggers),
+            Progress(config.env_steps, "env steps", done=trainer.env_steps) as progress,
+        ):
             while not trainer.finished:
                 before = trainer.env_steps
                 trainer.train(progress, min(config.env_steps, *((before // every + 1) * every for every in pauses)))
@@ -126,7 +129,8 @@ def _train_baseline(config: TrainRLConfig, spec: "EnvSpec", envs: Any, record: R
         record.keep(trainer.actor(), layered_config(config), trainer)
 
     try:
-        trainer.train(after_evaluation)
+        with closed_at_end(trainer.metrics.loggers):
+            trainer.train(after_evaluation)
         return record.finish(trainer, trainer.updates, [*envs.processes, *trainer.processes])
     finally:
         trainer.close()

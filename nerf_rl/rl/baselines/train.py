@@ -46,7 +46,7 @@ class BaselineTrainer(BaseCallback):
         self._envs = _make_envs(config, spec)
         self._sb3 = make_model(config, self._envs)
         self._sb3.set_logger(Logger(None, []))  # its own would leave a folder in the temporary one for each run
-        self._metrics = MetricsLog(run / "metrics.csv", loggers=make_loggers(config.loggers, run))
+        self.metrics = MetricsLog(run / "metrics.csv", loggers=make_loggers(config.loggers, run))
         self._returns, self._length = np.zeros(config.envs), np.zeros(config.envs, np.int64)
         self._success, self._tells = np.zeros(config.envs, np.bool_), False
         self._last_log = 0
@@ -111,7 +111,7 @@ class BaselineTrainer(BaseCallback):
     def _count_episode(self, env: int) -> None:
         self.episodes += 1
         ended = {"episode_return": float(self._returns[env]), "episode_length": float(self._length[env])}
-        self._metrics.gather(ended | ({"episode_success": float(self._success[env])} if self._tells else {}))
+        self.metrics.gather(ended | ({"episode_success": float(self._success[env])} if self._tells else {}))
         self._returns[env], self._length[env], self._success[env] = 0.0, 0, False
 
     def _evaluate(self) -> None:
@@ -125,14 +125,14 @@ class BaselineTrainer(BaseCallback):
         seeds = evaluation_seeds(0, episodes)
         result = run_episodes(self._evaluation_envs, act, seeds, config.evaluation_to_end).summary()
         self.evaluations.append({"env_steps": self.env_steps, "training_episodes": self.episodes, **result})
-        self._metrics.write_evaluation(self.evaluations[-1])
+        self.metrics.write_evaluation(self.evaluations[-1])
         self._after_evaluation(self.evaluations[-1], self._progress)
 
     def _log(self) -> None:
         values = self._sb3.logger.name_to_value
         if (name := _LOSS[self._config.algo]) in values:
-            self._metrics.gather({"critic_loss": float(values[name])})
-        self._metrics.write(env_steps=self.env_steps, seconds=self.seconds, episodes=self.episodes)
+            self.metrics.gather({"critic_loss": float(values[name])})
+        self.metrics.write(env_steps=self.env_steps, seconds=self.seconds, episodes=self.episodes)
         self._last_log = self.env_steps
 
 

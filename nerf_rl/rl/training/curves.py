@@ -50,7 +50,7 @@ class MetricsLog:
     """
 
     def __init__(self, path: Path, env_steps: int = 0, loggers: "Sequence[Logger]" = ()):
-        self._path, self._loggers = path, loggers
+        self._path, self.loggers = path, loggers
         rows = []
         if env_steps and path.is_file():
             with open(path, newline="", encoding="utf-8") as file:
@@ -87,7 +87,7 @@ class MetricsLog:
     def _pass_on(self, group: str, row: Mapping[str, Any]) -> None:
         """Give a row to the loggers, with the environment steps as its step."""
         figures = {f"{group}/{name}": float(value) for name, value in row.items() if name != "env_steps"}
-        for logger in self._loggers:
+        for logger in self.loggers:
             logger.log_metrics(figures, step=int(row["env_steps"]))
             logger.save()
 
