@@ -42,6 +42,8 @@ def test_training_leaves_what_it_promises(run: Path) -> None:
         "provenance.json",
         "summary.json",
         "metrics.csv",
+        "monitor.csv",
+        "evaluations.npz",
         "learning_curve.png",
         "policy.json",
         "policy.safetensors",

@@ -21,6 +21,7 @@ from nerf_rl.rl.config import TrainRLConfig
 from nerf_rl.rl.environments.make import EnvSpec, make_worker_env
 from nerf_rl.rl.training.curves import MetricsLog
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes
+from nerf_rl.rl.training.zoo_files import ZooFiles
 
 _LOSS = {"ppo": "train/value_loss", "sb3-ddpg": "train/critic_loss"}  # in SB3's logger
 _FOREVER = 2**60  # agent steps: the callback decides when training ends
@@ -47,6 +48,7 @@ class BaselineTrainer(BaseCallback):
         self._sb3 = make_model(config, self._envs)
         self._sb3.set_logger(Logger(None, []))  # its own would leave a folder in the temporary one for each run
         self.metrics = MetricsLog(run / "metrics.csv", loggers=make_loggers(config.loggers, run))
+        self._zoo = ZooFiles(run, config.scene)
         self._returns, self._length = np.zeros(config.envs), np.zeros(config.envs, np.int64)
         self._success, self._tells = np.zeros(config.envs, np.bool_), False
         self._last_log = 0
@@ -111,6 +113,8 @@ class BaselineTrainer(BaseCallback):
     def _count_episode(self, env: int) -> None:
         self.episodes += 1
         ended = {"episode_return": float(self._returns[env]), "episode_length": float(self._length[env])}
+        success = bool(self._success[env]) if self._tells else None
+        self._zoo.add_episode(ended["episode_return"], int(self._length[env]), self.seconds, success, self.env_steps)
         self.metrics.gather(ended | ({"episode_success": float(self._success[env])} if self._tells else {}))
         self._returns[env], self._length[env], self._success[env] = 0.0, 0, False
 
@@ -123,8 +127,10 @@ class BaselineTrainer(BaseCallback):
 
         episodes = config.final_evaluation_episodes if self.finished else config.evaluation_episodes
         seeds = evaluation_seeds(0, episodes)
-        result = run_episodes(self._evaluation_envs, act, seeds, config.evaluation_to_end).summary()
-        self.evaluations.append({"env_steps": self.env_steps, "training_episodes": self.episodes, **result})
+        found = run_episodes(self._evaluation_envs, act, seeds, config.evaluation_to_end)
+        facts = {"env_steps": self.env_steps, "training_episodes": self.episodes}
+        self.evaluations.append({**facts, **found.summary()})
+        self._zoo.add_evaluation(self.env_steps, found)
         self.metrics.write_evaluation(self.evaluations[-1])
         self._after_evaluation(self.evaluations[-1], self._progress)
 

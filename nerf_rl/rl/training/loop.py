@@ -28,6 +28,7 @@ from nerf_rl.rl.training.checkpoint import last_checkpoint, load_checkpoint, sav
 from nerf_rl.rl.training.curves import MetricsLog
 from nerf_rl.rl.training.deadlock import DeadlockMonitor
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes, training_seed
+from nerf_rl.rl.training.zoo_files import ZooFiles
 
 _STEP_TIMEOUT = 300.0  # [s] a worker that is silent for so long has hung
 
@@ -77,6 +78,7 @@ class Trainer:
         if self._checkpoint is not None:
             self._load(self._checkpoint)
         self.metrics = MetricsLog(run / "metrics.csv", self.env_steps, make_loggers(config.loggers, run))
+        self._zoo = ZooFiles(run, config.scene, self.env_steps)
 
     @property
     def seconds(self) -> float:
@@ -121,8 +123,10 @@ class Trainer:
     def evaluate(self, episodes: int) -> dict[str, Any]:
         """Run evaluation episodes with the current policy; return and keep the result."""
         seeds = evaluation_seeds(0, episodes)
-        result = run_episodes(self._envs, self.agent.act, seeds, self._config.evaluation_to_end).summary()
-        self.evaluations.append({"env_steps": self.env_steps, "training_episodes": self.episodes, **result})
+        found = run_episodes(self._envs, self.agent.act, seeds, self._config.evaluation_to_end)
+        facts = {"env_steps": self.env_steps, "training_episodes": self.episodes}
+        self.evaluations.append({**facts, **found.summary()})
+        self._zoo.add_evaluation(self.env_steps, found)
         self.metrics.write_evaluation(self.evaluations[-1])
         return self.evaluations[-1]
 
@@ -229,6 +233,9 @@ class Trainer:
             self.replay.end_episode(env, self._returns[env])
             success = bool(self._success[env]) if "success" in info else None
             self._monitor.end_episode(self.env_steps, float(self._returns[env]), success)
+            self._zoo.add_episode(
+                float(self._returns[env]), int(self._length[env]), self.seconds, success, self.env_steps
+            )
             figures = {"episode_return": self._returns[env], "episode_length": float(self._length[env])}
             self.metrics.gather(figures | ({"episode_success": float(self._success[env])} if "success" in info else {}))
         return self._restart(done)
