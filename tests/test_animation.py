@@ -1,0 +1,42 @@
+"""The README's moving picture, made from a tiny agent by the tool that makes it from the demo's."""
+
+from pathlib import Path
+
+import cv2
+import make_animation
+import numpy as np
+import pytest
+from numpy import ndarray
+
+
+def read(path: Path) -> list[ndarray]:
+    """Return a GIF's frames."""
+    video, frames = cv2.VideoCapture(str(path)), []
+    while (frame := video.read())[0]:
+        frames.append(frame[1])
+    return frames
+
+
+def test_the_moving_picture_shows_each_action_beside_what_z_decodes_to(
+    tiny_agent: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    out = tmp_path / "agent.gif"
+    words = ["--agent", str(tiny_agent), "--out", str(out), "--seeds", "3", "--fps", "4", "--hold", "0.5"]
+    monkeypatch.setattr("sys.argv", ["make_animation.py", *words])
+    make_animation.main()
+    assert "seed 3: " in capsys.readouterr().out
+    assert out.read_bytes().startswith(b"GIF89a") and b"NETSCAPE2.0" in out.read_bytes()[:1000]  # plays in a loop
+
+    frames = read(out)
+    assert len(frames) == 11 + 2  # 20 environment steps at action repeat 2, and the reset; the last one stays 0.5 s
+    scene, cell, gap = make_animation.SCENE, make_animation.CELL, make_animation.GAP
+    top, views = 18 + gap, 2  # below a line of text; of the tiny encoder
+    assert frames[0].shape[1] == scene + 4 * cell + 3 * gap + 4 * gap
+    first, last = (frames[i][top : top + scene, :scene].astype(int) for i in (0, -1))
+    assert np.abs(first - last).mean() > 0.5  # it moves
+    for column in range(4):
+        left = scene + 2 * gap + column * (cell + gap)
+        for row in range(views):
+            below = top + row * (cell + gap)
+            assert frames[0][below : below + cell, left : left + cell].std() > 3, f"row {row}, column {column}"
+    assert np.array_equal(frames[-1], frames[-3])
