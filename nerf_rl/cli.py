@@ -69,7 +69,7 @@ COMMANDS = {
         "train DDPG on the frozen latent plus proprioception, or on the true state",
     ),
     "evaluate": Command(
-        "nerf_rl.rl.config:EvaluateConfig",
+        "nerf_rl.rl.evaluate_config:EvaluateConfig",
         "nerf_rl.rl.evaluate:evaluate",
         "evaluate a trained policy, with video",
     ),

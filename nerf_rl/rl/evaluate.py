@@ -9,8 +9,8 @@ from nerf_rl.files.json_files import write_json
 from nerf_rl.files.outputs import SUMMARY, prepare_output, write_provenance
 from nerf_rl.machine.devices import check_device, resolve_device
 from nerf_rl.rl.agents.policy_file import check_policy, find_run
-from nerf_rl.rl.config import EvaluateConfig
 from nerf_rl.rl.environments.encoder_match import warn_of_workers_rendering
+from nerf_rl.rl.evaluate_config import EvaluateConfig
 from nerf_rl.rl.training.evaluation_results import describe_episodes
 
 if TYPE_CHECKING:
