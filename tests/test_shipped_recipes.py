@@ -41,6 +41,7 @@ def test_a_dataset_recipe_generates(recipe: str, tmp_path: Path, monkeypatch: py
 
 STEPS_OF_RECIPE = {  # enough for an update with the recipe's batch
     "demo": ["--env_steps", "700", "--warmup_steps", "560"],
+    "demonstrations": ["--env_steps", "1300", "--warmup_steps", "560", "--learner.clone_steps", "10"],
     "drawer-open": ["--env_steps", "700", "--warmup_steps", "560"],
     "drawer-open-ppo": ["--env_steps", "240", "--warmup_steps", "100", "--ppo.n_steps", "50", "--ppo.batch_size", "50"],
     "gym": ["--env_steps", "400", "--warmup_steps", "300"],

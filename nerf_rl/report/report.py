@@ -18,7 +18,14 @@ from nerf_rl.pretrain.measures.figures import NETWORK, describe_error, describe_
 from nerf_rl.pretrain.model.encoder_file import read_description
 from nerf_rl.report.config import ReportConfig
 from nerf_rl.report.sources import FIELD, Sources, find_sources
-from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS, describe_episodes, tells_success
+from nerf_rl.rl.training.evaluation_results import (
+    HIGH,
+    LOW,
+    SUCCESS,
+    describe_episodes,
+    tells_success,
+    with_demonstrations,
+)
 
 if TYPE_CHECKING:
     from nerf_rl.rl.rollout import Rollout
@@ -150,6 +157,8 @@ def _add_agent(page: Page, config: ReportConfig, sources: Sources, summary: dict
     for e in summary["evaluations"]:
         success = [f"{e[SUCCESS]:.0%}", f"{e[LOW]:.0%} to {e[HIGH]:.0%}"] if told else []
         rows.append([str(e["env_steps"]), *success, f"{e['mean_return']:.4g}", str(e["episodes"])])
+    if shown := with_demonstrations(summary["evaluations"][-1], "Trained "):
+        page.paragraph(f"{shown} of the task's scripted policy, whose environment steps are counted.")
     page.table(["environment steps", *(["success", "95 % interval"] if told else []), "mean return", "episodes"], rows)
 
 

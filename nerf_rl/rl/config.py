@@ -94,6 +94,8 @@ class ReplayConfig:
     """share of each batch that is drawn from the best episodes"""
     good_episodes: float = 0.1
     """share of all episodes, by return, that are the best ones"""
+    demonstration_share: float = 0.5
+    """share of each batch that is drawn from the demonstrations, which are never replaced; only if there are any"""
     hindsight: int = 0
     """copies of each transition with goals that were reached; only for scenes with a goal"""
     hindsight_random: float = 0.0
@@ -105,6 +107,8 @@ class ReplayConfig:
             raise UserError(f"--replay.capacity must be at least 1, got {self.capacity}")
         if not 0 <= self.good_share < 1 or not 0 < self.good_episodes <= 1:
             raise UserError("replay needs good_share in [0, 1) and good_episodes in (0, 1]")
+        if not 0 <= self.demonstration_share < 1:
+            raise UserError(f"--replay.demonstration_share must be in [0, 1), got {self.demonstration_share}")
         if not 0 <= self.hindsight_random <= 1:
             raise UserError(f"--replay.hindsight_random must be in [0, 1], got {self.hindsight_random}")
         if self.hindsight < 0:
@@ -146,22 +150,31 @@ class LearnerConfig:
     and exploration start anew; 0 for never"""
     reset_updates: int = 1000
     """updates that fresh networks are given at once, from the memory so far"""
+    clone_steps: int = 1000
+    """with demonstrations: steps in which the actor is drawn to the demonstrated actions, and the critic learns what
+    they are worth, before anything else is learnt"""
+    clone_weight: float = 1.0
+    """with demonstrations: weight, at first, of the mean squared distance from the demonstrated actions in the actor's
+    loss, in units of the mean absolute action value; 0 for none"""
+    clone_updates: int = 20_000
+    """critic updates within which that weight falls to 0"""
 
     def __post_init__(self) -> None:
         require_most(self, "learner.", batch_size=2**20, n_step=10**6, updates_per_step=1000)
-        require_most(self, "learner.", actor_every=10**9, reset_updates=10**7)
+        require_most(self, "learner.", actor_every=10**9, reset_updates=10**7, clone_steps=10**7)
+        require_most(self, "learner.", clone_weight=10**6, clone_updates=10**12)
         _one_of("actor batch", self.actor_batch, ("uniform", "prioritised"))
         if not 0 <= self.gamma <= 1:
             raise UserError(f"--learner.gamma must be in [0, 1], got {self.gamma}")
         if not 0 < self.tau <= 1:
             raise UserError(f"--learner.tau must be in (0, 1], got {self.tau}")
-        for name in ("n_step", "batch_size", "actor_every"):
+        for name in ("n_step", "batch_size", "actor_every", "clone_updates"):
             if getattr(self, name) < 1:
                 raise UserError(f"--learner.{name} must be at least 1, got {getattr(self, name)}")
         for name in ("actor_rate", "critic_rate", "max_grad_norm", "reward_scale", "updates_per_step"):
             if getattr(self, name) <= 0:
                 raise UserError(f"--learner.{name} must be positive, got {getattr(self, name)}")
-        for name in ("reset_after", "reset_updates"):
+        for name in ("reset_after", "reset_updates", "clone_steps", "clone_weight"):
             if getattr(self, name) < 0:
                 raise UserError(f"--learner.{name} must not be negative, got {getattr(self, name)}")
         if self.pre_tanh_penalty < 0:
@@ -205,8 +218,15 @@ class TrainRLConfig:
     (goal_x) or groups (goal) of the scene's privileged columns, desired_goal or achieved_goal of a goal environment"""
     panda: PandaReachConfig = field(default_factory=PandaReachConfig)
     """panda/reach only"""
+    demonstrations: int = 0
+    """successful episodes of the scene's scripted policy to begin with, for scenes that have one: a share of each batch
+    is drawn from them, and the actor is cloned from them; their environment steps, failed tries among them, are part of
+    env_steps"""
+    demonstration_noise: float = 0.2
+    """standard deviation of the noise on their actions: beside what a script without any noise does, a critic knows
+    nothing"""
     env_steps: int = 50_000
-    """environment steps of training, over all environments and with action repeats counted"""
+    """environment steps of training, over all environments and with action repeats and demonstrations counted"""
     episodes: int = 0
     """training episodes after which training ends, if env_steps have not ended it before; 0 for no such limit"""
     action_repeat: int = 2
@@ -216,7 +236,7 @@ class TrainRLConfig:
     envs: int = 2
     """environments, each in a process of its own"""
     warmup_steps: int = 2_000
-    """environment steps of random actions at the beginning"""
+    """environment steps of random actions at the beginning, after demonstrations"""
     learning_starts: int | None = None
     """environment steps before the first update; by default as many as warmup_steps"""
     network: NetworkConfig = field(default_factory=NetworkConfig)
@@ -286,6 +306,7 @@ class TrainRLConfig:
         require_most(self, envs=1024, threads=1024, env_steps=10**12, episode_steps=10**9)
         require_seed(self.seed)
         self._check_seeds()
+        self._check_demonstrations()
         if self.warmup_steps >= self.env_steps:
             raise UserError(
                 f"--warmup_steps {self.warmup_steps} leaves nothing of --env_steps {self.env_steps} to learn in"
@@ -302,6 +323,26 @@ class TrainRLConfig:
         free = "out resume overwrite seeds workers backend env_steps episodes threads device checkpoint_every"
         free += " evaluation_every evaluation_episodes final_evaluation_episodes evaluation_to_end log_every loggers"
         return {key: value for key, value in dataclasses.asdict(self).items() if key not in free.split()}
+
+    def _check_demonstrations(self) -> None:
+        require_most(self, demonstrations=10**4, demonstration_noise=10**6)
+        if self.demonstrations < 0 or self.demonstration_noise < 0:
+            raise UserError("--demonstrations and --demonstration_noise must not be negative")
+        if not self.demonstrations:
+            return
+        if self.algo in BASELINES:
+            raise UserError(f"--demonstrations is for --algo ddpg; {self.algo} of Stable-Baselines3 takes none")
+        if self.replay.good_share + self.replay.demonstration_share >= 1:
+            raise UserError(
+                f"--replay.good_share {self.replay.good_share} and --replay.demonstration_share "
+                f"{self.replay.demonstration_share} leave nothing of a batch to all other episodes"
+            )
+        spent = self.demonstrations * self.episode_steps
+        if spent + self.warmup_steps >= self.env_steps:
+            raise UserError(
+                f"--demonstrations {self.demonstrations} of {self.episode_steps} steps each and --warmup_steps "
+                f"{self.warmup_steps} leave nothing of --env_steps {self.env_steps} to learn in"
+            )
 
     def _check_seeds(self) -> None:
         if self.workers is not None and self.workers < 1:

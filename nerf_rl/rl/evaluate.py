@@ -11,7 +11,7 @@ from nerf_rl.machine.devices import check_device, resolve_device
 from nerf_rl.rl.agents.policy_file import check_policy, find_run
 from nerf_rl.rl.environments.encoder_match import warn_of_workers_rendering
 from nerf_rl.rl.evaluate_config import EvaluateConfig
-from nerf_rl.rl.training.evaluation_results import describe_episodes
+from nerf_rl.rl.training.evaluation_results import DEMONSTRATIONS, describe_episodes
 
 if TYPE_CHECKING:
     from nerf_rl.rl.agents.policy import Policy
@@ -48,6 +48,8 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
     finally:
         envs.close(terminate=True)
     summary |= {"env_steps": policy.env_steps}
+    if policy.demonstrations:
+        summary[DEMONSTRATIONS] = policy.demonstrations
     if config.video:
         _write_video(out / VIDEO, config, run, policy, seeds[: config.video_episodes], str(device))
         summary["video"] = VIDEO

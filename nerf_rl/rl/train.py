@@ -54,7 +54,7 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
     else:
         from nerf_rl.rl.agents.agent import find_agent
 
-        find_agent(config.algo)
+        find_agent(config.algo, cloning=config.demonstrations > 0)
     run = Path(config.out)
     if config.resume and not config.seeds:
         require_one_run(run)
@@ -66,7 +66,7 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
     spec = EnvSpec(
         config.scene, encoder, config.action_repeat, config.episode_steps, config.panda, observe, config.control
     )
-    beside_latent = check_scene(spec)
+    beside_latent = check_scene(spec, config.demonstrations > 0)
     if config.replay.hindsight and encoder is not None:
         raise UserError("--replay.hindsight exchanges goals in the true state; leave out --encoder or hindsight")
     goal_task = make_goal_task(spec) if config.replay.hindsight else None
@@ -102,6 +102,7 @@ def _train(config: TrainRLConfig, goal_task: "GoalTask | None", envs: Any, recor
             closed_at_end(trainer.metrics.loggers),
             Progress(config.env_steps, "env steps", done=trainer.env_steps) as progress,
         ):
+            trainer.demonstrate(progress)
             while not trainer.finished:
                 before = trainer.env_steps
                 trainer.train(progress, min(config.env_steps, *((before // every + 1) * every for every in pauses)))
@@ -112,7 +113,7 @@ def _train(config: TrainRLConfig, goal_task: "GoalTask | None", envs: Any, recor
                     record.keep(trainer.agent.policy(), config.network, trainer)
                 if last or trainer.env_steps // config.checkpoint_every > before // config.checkpoint_every:
                     trainer.save()
-        return record.finish(trainer, trainer.agent.updates, envs.processes)
+        return record.finish(trainer, trainer.agent.updates, envs.processes, trainer.demonstrations.cost)
     finally:
         trainer.replay.close()
 

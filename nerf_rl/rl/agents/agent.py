@@ -58,14 +58,26 @@ class Agent(Protocol):
         """Put back what :meth:`state_dict` returned; raise MissingFileError, naming ``source``, if it does not fit."""
 
 
+@runtime_checkable
+class CloningAgent(Agent, Protocol):
+    """An algorithm that can also begin with demonstrations."""
+
+    def clone(self, replay: "Replay") -> Metrics:
+        """Take a step towards the demonstrations in memory; return what happened, with ``clone_error`` among it."""
+
+
 AgentClass = Callable[..., Agent]
 """Makes an agent of sizes of observation and action, the keys of ``network`` and ``learner``, and a device."""
 
 AGENTS: dict[str, AgentClass] = {"ddpg": DDPG}
 
 
-def find_agent(name: str) -> AgentClass:
+def find_agent(name: str, cloning: bool = False) -> AgentClass:
     """Return an algorithm by its name, or one of the user's own by ``module:Class``.
+
+    Args:
+        name: of it.
+        cloning: whether it has to be a :class:`CloningAgent`.
 
     Raises:
         UserError: the module cannot be imported, or its class lacks what the loop asks for.
@@ -74,6 +86,7 @@ def find_agent(name: str) -> AgentClass:
         return AGENTS[name]
     found: AgentClass = find_named("algorithm", name)
     asked = [part for part in vars(Agent) if not part.startswith("_") and callable(getattr(Agent, part))]
+    asked += ["clone"] if cloning else []
     missing = [part for part in asked if not callable(getattr(found, part, None))]
     if missing:
         raise UserError(f"'{name}' is no algorithm: it lacks {', '.join(missing)}")

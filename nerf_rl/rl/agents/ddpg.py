@@ -149,7 +149,7 @@ class DDPG:
             return critic_metrics
         own = self.learner.actor_batch == "uniform" and replay.prioritised
         observation = self.norm(replay.sample_observations().to(self.device)) if own else batch.observation
-        actor_metrics = self.update_actor(observation)
+        actor_metrics = self.update_actor(observation, self._demonstrated(replay))
         self._slow_actor.follow()
         return critic_metrics | actor_metrics
 
@@ -175,14 +175,48 @@ class DDPG:
         }
         return metrics, error
 
-    def update_actor(self, observation: Float[Tensor, "B O"]) -> Metrics:
-        """Climb Q(s, mu(s)); the critic's parameters are held still and receive no gradient."""
+    def update_actor(self, observation: Float[Tensor, "B O"], demonstrated: Batch | None = None) -> Metrics:
+        """Climb Q(s, mu(s)); the critic's parameters are held still and receive no gradient.
+
+        Args:
+            observation: standardised.
+            demonstrated: not to go far from, for now: w mean|Q| mean (mu(s) - a)^2 joins the loss, after TD3+BC
+                (Fujimoto and Gu 2021), with a weight w that falls to 0 over ``learner.clone_updates``.
+        """
         with self._gathering(self.actor):
             pre_tanh = self.actor.pre_tanh(observation)
+            distance = None if demonstrated is None else self._distance(demonstrated)
         magnitude = pre_tanh.square().mean()
-        loss = -self.critic(observation, torch.tanh(pre_tanh)).mean() + self.learner.pre_tanh_penalty * magnitude
+        value = self.critic(observation, torch.tanh(pre_tanh))
+        loss = -value.mean() + self.learner.pre_tanh_penalty * magnitude
+        if distance is not None:
+            loss = loss + self._clone_weight() * value.detach().abs().mean() * distance
         gradient = self._step(self.actor_optimiser, loss)
         return {"actor_loss": loss.item(), "pre_tanh": magnitude.item() ** 0.5, "actor_gradient": gradient}
+
+    def clone(self, replay: Replay) -> Metrics:
+        """Draw the actor towards demonstrated actions, and fit the critic to what comes of them, by one step each."""
+        batch = self._standardise(replay.sample_demonstrations())
+        metrics, _ = self.update_critic(batch)
+        self._slow_critic.follow()
+        with self._gathering(self.actor):
+            distance = self._distance(batch)
+        self._step(self.actor_optimiser, distance)
+        self._slow_actor.follow()
+        return metrics | {"clone_error": distance.item()}
+
+    def _distance(self, batch: Batch) -> Float[Tensor, ""]:
+        """Return the mean squared distance of the actor's actions from those of a batch."""
+        return (self.actor(batch.observation) - batch.action).square().mean()
+
+    def _clone_weight(self) -> float:
+        return self.learner.clone_weight * max(0.0, 1.0 - self.updates / self.learner.clone_updates)
+
+    def _demonstrated(self, replay: Replay) -> Batch | None:
+        """Return demonstrations for the actor not to go far from; none when their weight is 0."""
+        if not replay.demonstrations or self._clone_weight() == 0:
+            return None
+        return self._standardise(replay.sample_demonstrations())
 
     def _networks(self) -> dict[str, nn.Module]:
         names = ("norm", "actor", "critic", "target_actor", "target_critic")

@@ -36,6 +36,8 @@ class Policy:
     proprio_names: list[str]
     encoder_digest: str | None
     env_steps: int
+    demonstrations: int = 0
+    """that its training began with"""
 
     @torch.no_grad()
     def act(self, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E A"]:
@@ -64,6 +66,8 @@ class Policy:
             "env_steps": self.env_steps,
             "packages": package_versions(),
         }
+        if self.demonstrations:
+            content["demonstrations"] = self.demonstrations
         write_json(folder / POLICY_DESCRIPTION, content)
 
     @staticmethod
@@ -86,7 +90,7 @@ class Policy:
         sizes = (content["observation_size"], content["action_size"])
         actor = filled(lambda: make_actor(*sizes, network), read_tensors(weights), weights)
         names = ("observation_size", "action_size", "proprio_names", "encoder_digest", "env_steps")
-        kept = {name: content[name] for name in names}
+        kept = {name: content[name] for name in names} | {"demonstrations": content.get("demonstrations", 0)}
         return Policy(actor.eval().requires_grad_(False).to(device), spec_from_json(content["env"]), network, **kept)
 
 

@@ -36,6 +36,7 @@ _STRUCTURE = mapping(
         "encoder_digest": optional(text()),
         "env_steps": whole(),
     },
+    {"demonstrations": whole(1)},
     others=True,
 )
 _DDPG = mapping(

@@ -19,13 +19,14 @@ from nerf_rl.rl.environments.encoder_match import compare_scenes
 from nerf_rl.rl.environments.goals import GoalTask, goal_layout, has_goal
 from nerf_rl.rl.environments.observed_columns import ObservedColumns
 from nerf_rl.rl.environments.panda_reach import PANDA_REACH, PandaReach
+from nerf_rl.rl.environments.scripted import ScriptedActions
 from nerf_rl.rl.environments.wrappers import (
     ActionRepeat,
     StateObservation,
     with_flat_observation,
     with_unit_actions,
 )
-from nerf_rl.scenes.base import GYM, METAWORLD, Scene
+from nerf_rl.scenes.base import GYM, METAWORLD, Policy, Scene
 from nerf_rl.scenes.make import MJCF_ENDINGS, make_scene
 
 
@@ -70,6 +71,7 @@ def make_env(spec: EnvSpec, encoder: Any = None, device: str = "cpu") -> tuple[g
     use_one_software_thread()
     scene = None if spec.scene == PANDA_REACH else _make_scene(spec)
     env: gymnasium.Env = PandaReach(spec.panda) if scene is None else with_unit_actions(scene.env)
+    env = _with_script(env, scene)
     env = ActionRepeat(gymnasium.wrappers.TimeLimit(env, spec.episode_steps), spec.action_repeat)
     if scene is None or spec.encoder is None:
         return StateObservation(with_flat_observation(env)), scene
@@ -98,10 +100,23 @@ def make_goal_task(spec: EnvSpec) -> GoalTask | None:
     return GoalTask(env.unwrapped, goal_layout(env)) if spec.encoder is None and has_goal(env) else None
 
 
-def check_scene(spec: EnvSpec) -> tuple[str, ...]:
-    """Return the names of what is observed beside a latent; raise UserError if scene, episode or columns cannot be."""
+def check_scene(spec: EnvSpec, demonstrations: bool = False) -> tuple[str, ...]:
+    """Return the names of what is observed beside a latent.
+
+    Args:
+        spec: what is to be built.
+        demonstrations: whether a scripted policy is needed.
+
+    Raises:
+        UserError: the scene, its episodes or columns of it cannot be had, or it has no such policy.
+    """
     env, scene = make_env(dataclasses.replace(spec, encoder=None))
     env.close()
+    if demonstrations and (scene is None or scene.scripted_policy() is None):
+        raise UserError(
+            f"--demonstrations needs a scene with a scripted policy, and {spec.scene} has none; available: "
+            f"{METAWORLD}TASK, for example {METAWORLD}drawer-open-v3"
+        )
     return () if scene is None else (*scene.proprio_names, *ObservedColumns(scene, spec.observe).names)
 
 
@@ -125,6 +140,19 @@ def reset_some(envs: gymnasium.vector.VectorEnv, which: ndarray, seeds: list[int
     seed: Any = list(seeds)  # vector environments take a list, although their base class does not say so
     observations, _ = envs.reset(seed=seed, options={"reset_mask": mask})
     return observations
+
+
+def _with_script(env: gymnasium.Env, scene: Scene | None) -> gymnasium.Env:
+    """Return an environment that knows what its scene's scripted policy would do, if there is one."""
+    if scene is None or scene.scripted_policy() is None:
+        return env
+
+    def make_policy() -> Policy:
+        policy = scene.scripted_policy()
+        assert policy is not None
+        return policy
+
+    return ScriptedActions(env, make_policy)
 
 
 def _make_scene(spec: EnvSpec) -> Scene:

@@ -27,7 +27,7 @@ class Batch(NamedTuple):
     """Transitions drawn from memory."""
 
     indices: Int[Tensor, "B"]
-    """their rows in memory"""
+    """their rows in memory; those of demonstrations are beyond its capacity"""
     weight: Float[Tensor, "B"]
     """importance weights in (0, 1]"""
     observation: Float[Tensor, "B O"]
@@ -41,7 +41,8 @@ class Replay:
     """Memory of n-step transitions.
 
     A transition is one row [observation, action, reward, discount, next observation] of a memory-mapped float32 file,
-    so that a batch is gathered in one pass and memory use does not grow with the capacity.
+    so that a batch is gathered in one pass and memory use does not grow with the capacity. Demonstrations, which are
+    few and never replaced, are in memory of their own.
 
     Args:
         config: capacity and prioritisation.
@@ -91,6 +92,8 @@ class Replay:
         self._rows: Tensor | None = None
         self._good = GoodEpisodes(envs, config.good_episodes)
         self._good_count = round(config.good_share * batch_size)
+        self._demonstrations: Float[Tensor, "D W"] = torch.zeros(0, sum(self._split))
+        self._demonstration_count = round(config.demonstration_share * batch_size)
 
     def __len__(self) -> int:
         return len(self._storage)
@@ -104,14 +107,22 @@ class Replay:
         """
         if transitions:
             before = self.stored
-            rows = [(t.observation, t.action, [t.reward, t.discount], t.next_observation) for t in transitions]
-            self._extend(torch.from_numpy(np.stack([np.concatenate(row) for row in rows]).astype(np.float32)))
+            self._extend(_rows(transitions))
             if env is not None:
                 self._good.add(env, range(before, self.stored))
 
     def end_episode(self, env: int, score: float) -> None:
         """Tell that an environment's episode is over, all its transitions being stored, and its return."""
         self._good.end(env, score, self.oldest)
+
+    def demonstrate(self, transitions: Sequence[Transition]) -> None:
+        """Keep transitions for good; from now on a share of each batch is drawn from them."""
+        self._demonstrations = torch.cat([self._demonstrations, _rows(transitions)])
+
+    @property
+    def demonstrations(self) -> int:
+        """How many transitions are kept for good."""
+        return len(self._demonstrations)
 
     @property
     def oldest(self) -> int:
@@ -125,33 +136,50 @@ class Replay:
     def sample(self, beta: float) -> Batch:
         """Draw a batch with P(i) = p_i^alpha / sum_k p_k^alpha and weights w_i = (N P(i))^-beta / max_k w_k.
 
-        The greatest weight is that of the whole memory, which is how TorchRL's segment trees give it. The share of the
-        batch that is drawn from good episodes, uniformly, has the mean weight of the others.
+        The greatest weight is that of the whole memory, which is how TorchRL's segment trees give it. The shares of the
+        batch that are drawn from good episodes and then from demonstrations, uniformly, have the mean weight of the
+        others.
         """
         if self.prioritised:
             self._sampler.beta = beta
         good = self._good_count if len(self._good) else 0
-        count = self._batch_size - good
+        count = self._batch_size - good - self._demonstrated()
         index, information = self._sampler.sample(self._storage, count)
         weight = information["priority_weight"].float() if self.prioritised else torch.ones(count)
         if good:
             index = torch.cat([index, self._good.draw(good, self.generator) % self._capacity])
-            weight = torch.cat([weight, weight.mean().expand(good)])
-        observation, action, reward, discount, next_observation = self._gather(index)
-        return Batch(index, weight, observation, action, reward.squeeze(-1), discount.squeeze(-1), next_observation)
+        rows = self._gather_rows(index)
+        if self._demonstrated():
+            places, shown = self._draw_demonstrated(self._demonstrated())
+            index, rows = torch.cat([index, self._capacity + places]), torch.cat([rows, shown])
+        if len(index) > count:
+            weight = torch.cat([weight, weight.mean().expand(len(index) - count)])
+        return self._batch(index, weight, rows)
+
+    def sample_demonstrations(self) -> Batch:
+        """Draw a batch from demonstrations alone, uniformly; there must be some."""
+        places, rows = self._draw_demonstrated(self._batch_size)
+        return self._batch(self._capacity + places, torch.ones(self._batch_size), rows)
 
     def sample_observations(self) -> Float[Tensor, "B O"]:
-        """Draw the observations of a uniform batch."""
-        index = torch.randint(len(self), (self._batch_size,), generator=self.generator)
-        return self._gather(index)[0]
+        """Draw the observations of a uniform batch, with its share of demonstrations."""
+        shown = self._demonstrated()
+        index = torch.randint(len(self), (self._batch_size - shown,), generator=self.generator)
+        rows = self._gather_rows(index)
+        if shown:
+            rows = torch.cat([rows, self._draw_demonstrated(shown)[1]])
+        return rows[:, : self._split[0]]
 
     def observations(self, index: Int[ndarray, "B"]) -> Float[ndarray, "B O"]:
         """Return the observations in some rows of memory."""
-        return self._gather(torch.from_numpy(index))[0].numpy()
+        return self._gather_rows(torch.from_numpy(index))[:, : self._split[0]].numpy()
 
     def update_priority(self, index: Int[Tensor, "B"], error: Float[Tensor, "B"]) -> None:
-        """Set the priorities of drawn transitions: |error| + epsilon."""
+        """Set the priorities of drawn transitions: |error| + epsilon. Demonstrations have none."""
         if self.prioritised:
+            if self.demonstrations:
+                own = index < self._capacity
+                index, error = index[own], error[own]
             self._sampler.update_priority(index, error.abs())
 
     def priority_spread(self) -> float:
@@ -176,6 +204,8 @@ class Replay:
             sampler = self._sampler.state_dict()
             state["powered_priority"] = torch.as_tensor(sampler["_sum_tree"][indices])
             state["max_priority"] = torch.as_tensor(self._sampler.default_priority, dtype=torch.float32)
+        if self.demonstrations:
+            state["demonstrations"] = self._demonstrations
         return state | {f"good.{name}": tensor for name, tensor in self._good.state_dict().items()}
 
     def load_state(self, state: dict[str, Tensor], source: Path = Path("the checkpoint")) -> None:
@@ -194,6 +224,9 @@ class Replay:
         if self.prioritised:
             like |= {"powered_priority": torch.zeros(rows), "max_priority": torch.zeros(())}
         like |= {name: tensor.detach() for name, tensor in state.items() if name.startswith("good.")}
+        if "demonstrations" in state:
+            shown = len(state["demonstrations"]) if state["demonstrations"].dim() else 0
+            like["demonstrations"] = torch.zeros(shown, sum(self._split))
         require_tensors(state, like, source)
         stored = int(state["stored"])
         least = float(state["powered_priority"].min()) if self.prioritised and rows else 1.0
@@ -206,6 +239,7 @@ class Replay:
             remedy = "begin the run anew with --overwrite true, or use another --out"
             reason = f"its replay memory is damaged ({error})"
             raise MissingFileError("a checkpoint", source, reason, remedy) from error
+        self._demonstrations = state.get("demonstrations", self._demonstrations)
         self._extend(state["rows"].roll(stored % self._capacity, 0) if rows == self._capacity else state["rows"])
         self.stored = stored
         self._buffer.writer.load_state_dict({"_cursor": stored % self._capacity})
@@ -233,8 +267,22 @@ class Replay:
         assert self._rows is not None
         return self._rows.index_select(0, index)
 
-    def _gather(self, index: Tensor) -> tuple[Tensor, ...]:
-        return self._gather_rows(index).split(self._split, dim=-1)
+    def _demonstrated(self) -> int:
+        """Return how many transitions of a batch are demonstrations."""
+        return self._demonstration_count if self.demonstrations else 0
+
+    def _draw_demonstrated(self, count: int) -> tuple[Int[Tensor, "count"], Float[Tensor, "count W"]]:
+        places = torch.randint(self.demonstrations, (count,), generator=self.generator)
+        return places, self._demonstrations.index_select(0, places)
+
+    def _batch(self, index: Tensor, weight: Tensor, rows: Tensor) -> Batch:
+        observation, action, reward, discount, next_observation = rows.split(self._split, dim=-1)
+        return Batch(index, weight, observation, action, reward.squeeze(-1), discount.squeeze(-1), next_observation)
+
+
+def _rows(transitions: Sequence[Transition]) -> Float[Tensor, "N W"]:
+    rows = [(t.observation, t.action, [t.reward, t.discount], t.next_observation) for t in transitions]
+    return torch.from_numpy(np.stack([np.concatenate(row) for row in rows]).astype(np.float32))
 
 
 def check_free_space(folder: Path, needed: int) -> None:

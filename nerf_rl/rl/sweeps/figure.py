@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from nerf_rl.files.atomic import atomic_write
-from nerf_rl.rl.training.evaluation_results import SUCCESS
+from nerf_rl.rl.training.evaluation_results import SUCCESS, with_demonstrations
 
 
 def draw_sweep(path: Path, summary: dict[str, Any], title: str) -> None:
@@ -33,7 +33,7 @@ def draw_sweep(path: Path, summary: dict[str, Any], title: str) -> None:
     axes.set(xlabel="environment steps", ylabel="success rate" if told else "mean return")
     if told:
         axes.set(ylim=(-0.03, 1.03))
-    axes.set_title(f"{title}, {len(summary['runs'])} seeds")
+    axes.set_title(f"{title}, {len(summary['runs'])} seeds{with_demonstrations(summary)}")
     axes.legend(fontsize=8)
     with atomic_write(path) as aside:
         figure.savefig(aside, format="png", dpi=120)

@@ -12,7 +12,7 @@ from nerf_rl.files.json_files import read_json
 from nerf_rl.files.outputs import PROVENANCE, SUMMARY
 from nerf_rl.files.structure import mapping, number, whole
 from nerf_rl.rl.config import TrainRLConfig
-from nerf_rl.rl.training.evaluation_results import EVALUATIONS, SUCCESS
+from nerf_rl.rl.training.evaluation_results import DEMONSTRATIONS, EVALUATIONS, SUCCESS
 
 GOOD = 0.95
 """success rate from which on a run counts as one that can do its task"""
@@ -58,6 +58,7 @@ def read_run(run: Path) -> dict[str, Any]:
         "seed": read_json(run / PROVENANCE)["seed"],
         "run": run.name,
         **{name: summary[name] for name in ("env_steps", "episodes", "updates", "seconds")},
+        **({DEMONSTRATIONS: summary[DEMONSTRATIONS]} if DEMONSTRATIONS in summary else {}),
         "good": None if good is None else {"env_steps": good, "seconds": _seconds_at(run, good)},
         "evaluations": evaluations,
     }

@@ -6,7 +6,7 @@ from typing import Any
 from nerf_rl.metrics import wilson_interval
 from nerf_rl.rl.sweeps.aggregates import describe_scores
 from nerf_rl.rl.sweeps.runs import GOOD
-from nerf_rl.rl.training.evaluation_results import SUCCESS, tells_success
+from nerf_rl.rl.training.evaluation_results import DEMONSTRATIONS, SUCCESS, tells_success
 
 RETURN = "mean_return"
 
@@ -20,8 +20,10 @@ def summarise(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
     told = bool(runs) and all(tells_success(run["evaluations"]) for run in runs)
     score = SUCCESS if told else RETURN
     last = [run["evaluations"][-1][score] for run in runs if run["evaluations"]]
+    shown = next((e[DEMONSTRATIONS] for run in runs for e in run["evaluations"] if DEMONSTRATIONS in e), 0)
     return {
         "score": score,
+        **({DEMONSTRATIONS: shown} if shown else {}),
         "final": describe_scores(last) if last else None,
         "good_seeds": _good(last) if told else None,
         "curve": [{"env_steps": due, **describe_scores(scores)} for due, scores in _by_step(runs, score)],

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from nerf_rl.rl.sweeps.runs import GOOD
-from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS
+from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS, with_demonstrations
 
 _MOST_COLUMNS = 10
 _NONE = "-"
@@ -17,7 +17,8 @@ def seeds_table(summary: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
     """
     score, steps = summary["score"], _shown([point["env_steps"] for point in summary["curve"]])
     told = score == SUCCESS
-    heads = ["seed", *(f"{step:,}" for step in steps), "final, 95 % interval" if told else "final return"]
+    final = f"final{with_demonstrations(summary, ' ')}, 95 % interval" if told else "final return"
+    heads = ["seed", *(f"{step:,}" for step in steps), final]
     heads += [f"env steps to {GOOD:.0%}", f"seconds to {GOOD:.0%}"] if told else []
     rows = []
     for run in summary["runs"]:
@@ -45,8 +46,8 @@ def describe_summary(summary: dict[str, Any]) -> str:
     interval = ""
     if final["iqm_low"] is not None:
         interval = f" [{_written(final['iqm_low'], told)}, {_written(final['iqm_high'], told)}]"
-    what = "success" if told else "return"
-    line = f"{what} at the end: interquartile mean {_written(final['iqm'], told)}{interval} of {final['seeds']} seeds"
+    what = f"{'success' if told else 'return'} at the end{with_demonstrations(summary)}"
+    line = f"{what}: interquartile mean {_written(final['iqm'], told)}{interval} of {final['seeds']} seeds"
     line += f", mean {_written(final['mean'], told)}, least {_written(final['least'], told)}"
     if good is None:
         return line

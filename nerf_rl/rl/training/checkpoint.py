@@ -15,7 +15,7 @@ from torch import Tensor
 from nerf_rl.errors import MissingFileError
 from nerf_rl.files.atomic import rename_durably
 from nerf_rl.files.json_files import read_json, write_json
-from nerf_rl.files.structure import listing, mapping, number, one_of, whole
+from nerf_rl.files.structure import flag, listing, mapping, number, one_of, whole
 from nerf_rl.files.tensor_files import read_tensors, write_tensors
 from nerf_rl.rl.training.deadlock import STRUCTURE as MONITOR
 from nerf_rl.rl.training.evaluation_results import EVALUATIONS
@@ -39,6 +39,9 @@ _STRUCTURE = mapping(
         ),
         "monitor": MONITOR,
         "evaluations": EVALUATIONS,
+    },
+    {
+        "demonstrations": mapping({**dict.fromkeys(("episodes", "tries", "env_steps"), whole(1)), "cloned": flag}),
     },
     others=True,
 )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nerf_rl.files.atomic import atomic_write, write_text
-from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS, tells_success
+from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS, tells_success, with_demonstrations
 
 if TYPE_CHECKING:
     from lightning.pytorch.loggers import Logger
@@ -112,7 +112,8 @@ def draw_success(axes: "Axes", evaluations: Sequence[Mapping[str, Any]]) -> None
     steps = [e["env_steps"] for e in evaluations]
     axes.plot(steps, [e[SUCCESS] for e in evaluations], marker="o")
     axes.fill_between(steps, [e[LOW] for e in evaluations], [e[HIGH] for e in evaluations], alpha=0.2)
-    axes.set(ylim=(-0.03, 1.03), xlabel="environment steps", ylabel="success rate")
+    shown = with_demonstrations(evaluations[-1], "\n") if evaluations else ""
+    axes.set(ylim=(-0.03, 1.03), xlabel="environment steps", ylabel=f"success rate{shown}")
 
 
 def draw_returns(axes: "Axes", evaluations: Sequence[Mapping[str, Any]]) -> None:

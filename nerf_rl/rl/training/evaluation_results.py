@@ -11,10 +11,12 @@ from nerf_rl.files.structure import listing, mapping, number, whole
 
 SUCCESS, LOW, HIGH = "success_rate", "ci_low", "ci_high"
 """of environments that tell of success; other results are without"""
+DEMONSTRATIONS = "demonstrations"
+"""how many the agent began with; results of agents that had none are without"""
 EVALUATIONS = listing(
     mapping(
         {"env_steps": whole(), "episodes": whole(1), "mean_return": number()},
-        dict.fromkeys((SUCCESS, LOW, HIGH), number(0.0, 1.0)),
+        {**dict.fromkeys((SUCCESS, LOW, HIGH), number(0.0, 1.0)), DEMONSTRATIONS: whole(1)},
         others=True,
     )
 )
@@ -51,4 +53,10 @@ def describe_episodes(result: Mapping[str, Any]) -> str:
     rate = ""
     if SUCCESS in result:
         rate = f"success {result[SUCCESS]:.0%} [{result[LOW]:.0%}, {result[HIGH]:.0%}] of "
-    return f"{rate}{result['episodes']} episodes, return {result['mean_return']:.4g}"
+    return f"{rate}{result['episodes']} episodes, return {result['mean_return']:.4g}{with_demonstrations(result)}"
+
+
+def with_demonstrations(result: Mapping[str, Any], before: str = ", ") -> str:
+    """Return what has to stand beside each figure of an agent that began with demonstrations; nothing for others."""
+    count = result.get(DEMONSTRATIONS, 0)
+    return f"{before}with {count} demonstration{'s' * (count != 1)}" if count else ""

@@ -27,7 +27,9 @@ from nerf_rl.rl.experience.replay_chunks import count_rows, load_rows, most_rows
 from nerf_rl.rl.training.checkpoint import last_checkpoint, load_checkpoint, save_checkpoint
 from nerf_rl.rl.training.curves import MetricsLog
 from nerf_rl.rl.training.deadlock import DeadlockMonitor
+from nerf_rl.rl.training.demonstrated_start import DemonstratedStart
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes, training_seed
+from nerf_rl.rl.training.evaluation_results import DEMONSTRATIONS
 from nerf_rl.rl.training.zoo_files import ZooFiles
 
 _STEP_TIMEOUT = 300.0  # [s] a worker that is silent for so long has hung
@@ -48,6 +50,7 @@ class Trainer:
     Attributes:
         episodes: training episodes that have ended or were broken off.
         evaluations: results so far, as in ``summary.json``.
+        demonstrations: that the run begins with, if any.
     """
 
     def __init__(
@@ -75,6 +78,7 @@ class Trainer:
         self._seconds_before, self._start = 0.0, time.monotonic()
         self.evaluations: list[dict[str, Any]] = []
         self._monitor = DeadlockMonitor()
+        self.demonstrations = DemonstratedStart(config)
         if self._checkpoint is not None:
             self._load(self._checkpoint)
         self.metrics = MetricsLog(run / "metrics.csv", self.env_steps, make_loggers(config.loggers, run))
@@ -92,9 +96,29 @@ class Trainer:
         return self.env_steps >= config.env_steps or 0 < config.episodes <= self.episodes
 
     @property
+    def _acted(self) -> int:
+        """Environment steps that the agent itself has had."""
+        return self.env_steps - self.demonstrations.env_steps
+
+    @property
     def _explored(self) -> int:
         """Environment steps since exploration began, or began anew."""
         return self.env_steps - self._explored_from
+
+    def demonstrate(self, progress: Progress) -> None:
+        """Have the demonstrations acted that the run asks for, unless a checkpoint held them.
+
+        Args:
+            progress: advanced by their environment steps, which are part of the run's.
+
+        Raises:
+            FailureError: the script hardly ever succeeds, or takes all of the run's environment steps.
+        """
+        if told := self.demonstrations.act(self._envs, self.agent, self.replay):
+            self.env_steps = self._explored_from = self.demonstrations.env_steps
+            self._monitor.forgive(self.env_steps)
+            progress.advance(self.env_steps)
+            progress.say(told)
 
     def train(self, progress: Progress, until: int) -> None:
         """Go on until ``until`` environment steps are done or the run is finished; then the episodes are broken off.
@@ -124,7 +148,8 @@ class Trainer:
         """Run evaluation episodes with the current policy; return and keep the result."""
         seeds = evaluation_seeds(0, episodes)
         found = run_episodes(self._envs, self.agent.act, seeds, self._config.evaluation_to_end)
-        facts = {"env_steps": self.env_steps, "training_episodes": self.episodes}
+        told = {DEMONSTRATIONS: self._config.demonstrations} if self._config.demonstrations else {}
+        facts = {"env_steps": self.env_steps, "training_episodes": self.episodes, **told}
         self.evaluations.append({**facts, **found.summary()})
         self._zoo.add_evaluation(self.env_steps, found)
         self.metrics.write_evaluation(self.evaluations[-1])
@@ -146,6 +171,7 @@ class Trainer:
             "evaluations": self.evaluations,
             "monitor": self._monitor.state_dict(),
             "explored_from": self._explored_from,
+            **self.demonstrations.state_dict(),
         }
         before = self._checkpoint
         self._checkpoint = save_checkpoint(
@@ -174,6 +200,7 @@ class Trainer:
         self._rng.bit_generator.state = facts["rng"]
         self._monitor.load_state_dict(facts["monitor"])
         self._explored_from = facts["explored_from"]
+        self.demonstrations.load_state_dict(facts, self.replay, checkpoint)
 
     def _checkpoint_rows(self) -> int:
         """Return about how many rows of replay memory checkpoints will hold, beyond those that they hold already."""
@@ -243,7 +270,7 @@ class Trainer:
     def _explore(self, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E A"]:
         """Return random actions in the warm-up, then the policy's with noise; some of either are held random ones."""
         config = self._config
-        if self.env_steps < config.warmup_steps:
+        if self._acted < config.warmup_steps:
             random = self._rng.uniform(-1.0, 1.0, (self._envs.num_envs, self.action_size)).astype(np.float32)
             return self._held.override(random, 0.8)
         noisy = np.clip(self.agent.act(observation) + self._noise.sample(self._explored), -1.0, 1.0)
@@ -256,7 +283,10 @@ class Trainer:
         """Do the updates that the steps so far are worth."""
         config = self._config
         starts = config.warmup_steps if config.learning_starts is None else config.learning_starts
-        if self.env_steps < starts or len(self.replay) < config.learner.batch_size:
+        if self._acted < starts:
+            return
+        self.demonstrations.clone(self.agent, self.replay, self.metrics.gather)
+        if len(self.replay) < config.learner.batch_size:
             return
         self._credit += config.learner.updates_per_step * self._envs.num_envs
         while self._credit >= 1.0:
@@ -280,6 +310,7 @@ class Trainer:
             "networks and exploration start anew, with the memory so far"
         )
         self.agent.reset()
+        self.demonstrations.forget()
         self._credit += self._config.learner.reset_updates
         self._monitor.forgive(self.env_steps)
         self._explored_from = self.env_steps

@@ -1,6 +1,6 @@
 """What a run leaves behind while it goes on and at its end: policy, learning curve and ``summary.json``."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -9,6 +9,7 @@ from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.machine.memory import peak_rss_mb
 from nerf_rl.rl.agents.policy_file import encoder_digest
 from nerf_rl.rl.config import NetworkConfig, TrainRLConfig
+from nerf_rl.rl.training.evaluation_results import DEMONSTRATIONS
 
 if TYPE_CHECKING:
     from torch import nn
@@ -66,15 +67,31 @@ class RunRecord:
         from nerf_rl.rl.training.curves import draw_learning_curve
 
         policy = Policy(actor, self._spec, network, *self._sizes, self._proprio_names, self._digest, state.env_steps)
+        policy.demonstrations = self._config.demonstrations
         policy.save(self._run)
         draw_learning_curve(self._run / CURVE, state.evaluations, self._config.scene)
         if self._on_evaluation is not None:
             self._on_evaluation(state.evaluations[-1])
 
-    def finish(self, state: TrainingState, updates: int, workers: Sequence[Any]) -> dict[str, Any]:
-        """Write and return the summary; memory is the peak of this process plus those of its workers."""
+    def finish(
+        self,
+        state: TrainingState,
+        updates: int,
+        workers: Sequence[Any],
+        demonstrated: Mapping[str, int] | None = None,
+    ) -> dict[str, Any]:
+        """Write and return the summary; memory is the peak of this process plus those of its workers.
+
+        Args:
+            state: the trainer.
+            updates: of the networks.
+            workers: processes of the environments.
+            demonstrated: what the demonstrations cost, whose environment steps are part of the run's.
+        """
+        shown = {} if demonstrated is None else {DEMONSTRATIONS: {**demonstrated, "in_env_steps": True}}
         summary = {
             "env_steps": state.env_steps,
+            **shown,
             "episodes": state.episodes,
             "updates": updates,
             "seconds": round(state.seconds, 1),
