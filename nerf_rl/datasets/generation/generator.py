@@ -6,11 +6,12 @@ import time
 
 from nerf_rl.datasets.config import GenDatasetConfig
 from nerf_rl.datasets.generation.estimate import print_estimate
-from nerf_rl.datasets.generation.manifest import describe, shard_entry, with_shards
-from nerf_rl.datasets.generation.shard_episodes import RenderedShard, open_render_context, shard_episodes
+from nerf_rl.datasets.generation.manifest import describe
+from nerf_rl.datasets.generation.shard_episodes import open_render_context
 from nerf_rl.datasets.generation.unfinished import OutputRecord
 from nerf_rl.datasets.generation.workers import render_shards
 from nerf_rl.datasets.storage.disk import bytes_needed, explain_full_disk, require_space
+from nerf_rl.datasets.storage.finished_shards import FinishedShard, shard_entry, with_shards
 from nerf_rl.datasets.storage.shards import UNFINISHED
 from nerf_rl.files.checksummed_json import write_checksummed
 from nerf_rl.files.json_files import write_json
@@ -38,15 +39,14 @@ def generate_dataset(config: GenDatasetConfig) -> None:
     finally:
         context.renderer.close()
     warn_of_software_rendering(gl_renderer)
-    frames = {shard: len(shard_episodes(config, shard)) * config.frames_per_episode for shard in record.shards}
-    total = sum(frames.values())
+    total = sum(record.frames.values())
     done = record.finished_shards(description["scene"])
-    if len(done) == len(frames) and record.is_complete():
+    if len(done) == len(record.frames) and record.is_complete():
         print(f"{record.dataset}: nothing to do, all {len(done)} shards are there")
         return
 
     def bytes_missing() -> int:
-        missing = [frames[shard] for shard in record.shards if shard not in done]
+        missing = [frames for shard, frames in record.frames.items() if shard not in done]
         return bytes_needed(context.layout, sum(missing), len(missing))
 
     if not config.overwrite:
@@ -75,7 +75,7 @@ def generate_dataset(config: GenDatasetConfig) -> None:
     print(f"{record.dataset}: {summary['frames']} frames, {summary['views']} views, {views_per_second:.1f} views/s")
 
 
-def _render(config: GenDatasetConfig, record: OutputRecord, done: dict[int, RenderedShard], total: int) -> None:
+def _render(config: GenDatasetConfig, record: OutputRecord, done: dict[int, FinishedShard], total: int) -> None:
     """Render what is missing and add it to ``done``."""
     missing = [shard for shard in record.shards if shard not in done]
     kept = sum(shard.frames for shard in done.values())

@@ -2,7 +2,6 @@
 
 import functools
 import itertools
-import json
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import NamedTuple
@@ -13,9 +12,11 @@ from numpy import ndarray
 from nerf_rl.cameras.geometry import projection_matrix
 from nerf_rl.datasets.config import GenDatasetConfig
 from nerf_rl.datasets.generation.behaviours import Behaviour
+from nerf_rl.datasets.storage.finished_shards import FinishedShard, shard_attributes
 from nerf_rl.datasets.storage.frame_checks import array_faults, view_faults
-from nerf_rl.datasets.storage.plan import Plan, plan_digest
+from nerf_rl.datasets.storage.plan import Plan
 from nerf_rl.datasets.storage.shards import TRAIN, VALIDATION, Layout, ShardWriter, frame_layout, sha256_of, shard_path
+from nerf_rl.datasets.storage.splits import validation_episodes
 from nerf_rl.errors import FailureError
 from nerf_rl.machine.memory import peak_rss_mb
 from nerf_rl.rendering.renderer import MultiViewRenderer
@@ -23,8 +24,6 @@ from nerf_rl.rendering.rigs import Rig, make_rig
 from nerf_rl.rendering.semantics import SemanticClasses, semantic_classes
 from nerf_rl.scenes.base import Scene
 from nerf_rl.scenes.make import make_scene
-
-PLAN_ATTRIBUTE, SCENE_ATTRIBUTE, RENDERER_ATTRIBUTE = "plan", "scene", "renderer"
 
 
 class RenderContext(NamedTuple):
@@ -57,19 +56,6 @@ def open_render_context(config: GenDatasetConfig) -> RenderContext:
     return RenderContext(scene, behaviour, renderer, rig, classes, layout)
 
 
-class RenderedShard(NamedTuple):
-    """What is known of a finished shard."""
-
-    shard: int
-    frames: int
-    sha256: str
-    """of the file"""
-    renderer: str
-    """the OpenGL implementation that made it"""
-    peak_rss_mb: float = 0.0
-    """most memory that the process which made it has held [MB]"""
-
-
 def shard_count(config: GenDatasetConfig) -> int:
     """Return the number of shards of a dataset."""
     return -(-config.episodes // config.episodes_per_shard)
@@ -81,16 +67,12 @@ def shard_episodes(config: GenDatasetConfig, shard: int) -> range:
     return range(first, min(first + config.episodes_per_shard, config.episodes))
 
 
-def validation_episodes(config: GenDatasetConfig) -> frozenset[int]:
-    """Return the episodes held out for validation: at least one if any are asked for and there are two."""
-    count = round(config.validation_fraction * config.episodes)
-    if config.validation_fraction > 0 and config.episodes > 1:
-        count = min(max(count, 1), config.episodes - 1)
-    order = np.random.default_rng([config.seed, 2**32]).permutation(config.episodes)
-    return frozenset(int(episode) for episode in order[:count])
+def shard_frames(config: GenDatasetConfig, shard: int) -> int:
+    """Return the number of frames of a shard."""
+    return len(shard_episodes(config, shard)) * config.frames_per_episode
 
 
-def render_shard(config: GenDatasetConfig, shard: int, beat: Callable[[], None], plan: Plan) -> RenderedShard:
+def render_shard(config: GenDatasetConfig, shard: int, beat: Callable[[], None], plan: Plan) -> FinishedShard:
     """Write a shard. Its content depends on the configuration and its seed alone.
 
     Args:
@@ -104,20 +86,16 @@ def render_shard(config: GenDatasetConfig, shard: int, beat: Callable[[], None],
     """
     context = _render_context(_FrozenConfig(config))
     beat()
-    held_out = validation_episodes(config)
+    held_out = validation_episodes(config.episodes, config.validation_fraction, config.seed)
     episodes = shard_episodes(config, shard)
     constant = {"cameras/intrinsics": context.rig.intrinsics}
     if not context.rig.moving:
         poses = context.rig.poses(context.scene.render_data(), np.random.default_rng())
         constant["cameras/camera_from_world"] = poses
         constant["cameras/projection"] = projection_matrix(context.rig.intrinsics, poses)
-    frames = len(episodes) * config.frames_per_episode
+    frames = shard_frames(config, shard)
     renderer = context.renderer.gl_renderer
-    attributes = {
-        PLAN_ATTRIBUTE: plan_digest(plan),
-        SCENE_ATTRIBUTE: json.dumps(context.scene.provenance()),
-        RENDERER_ATTRIBUTE: renderer,
-    }
+    attributes = shard_attributes(plan, context.scene.provenance(), renderer)
     path = shard_path(Path(config.out), shard)
     with ShardWriter(path, frames, context.layout, constant, attributes) as writer:
         for episode in episodes:
@@ -127,7 +105,7 @@ def render_shard(config: GenDatasetConfig, shard: int, beat: Callable[[], None],
                 rows.append(row)
                 beat()
             writer.append({name: np.stack([row[name] for row in rows]) for name in context.layout})
-    return RenderedShard(shard, frames, sha256_of(path), renderer, peak_rss_mb())
+    return FinishedShard(shard, frames, sha256_of(path), renderer, peak_rss_mb())
 
 
 def render_episode(

@@ -8,8 +8,9 @@ import mujoco
 from joblib import delayed
 
 from nerf_rl.datasets.config import GenDatasetConfig
-from nerf_rl.datasets.generation.shard_episodes import RenderedShard, render_shard
+from nerf_rl.datasets.generation.shard_episodes import render_shard
 from nerf_rl.datasets.generation.watchdog import alarm, lookout
+from nerf_rl.datasets.storage.finished_shards import FinishedShard
 from nerf_rl.datasets.storage.plan import Plan, plan_of
 from nerf_rl.datasets.storage.shards import partial_files, partial_path, shard_path
 from nerf_rl.errors import FailureError
@@ -22,7 +23,7 @@ def render_shards(
     shards: Collection[int],
     say: Callable[[str], None] = print,
     plan: Plan | None = None,
-) -> Generator[RenderedShard, None, None]:
+) -> Generator[FinishedShard, None, None]:
     """Render shards in worker processes; yields each when it is on disk.
 
     A process that dies, or hangs and is therefore ended, costs the shards that were being rendered, which are begun
@@ -53,7 +54,7 @@ def render_shards(
         missing[:] = [shard for shard in missing if shard not in lost] + lost
         _remove_partial_files(folder, missing)
 
-    def attempt(shards: list[int]) -> Generator[RenderedShard, None, None]:
+    def attempt(shards: list[int]) -> Generator[FinishedShard, None, None]:
         return _render_once(config, shards, backend, plan)
 
     try:
@@ -64,7 +65,7 @@ def render_shards(
 
 def _render_once(
     config: GenDatasetConfig, shards: list[int], backend: Backend, plan: Plan
-) -> Generator[RenderedShard, None, None]:
+) -> Generator[FinishedShard, None, None]:
     workers = min(config.workers, len(shards))
     if config.backend == "ray":
         workers = max(workers, 2)  # for one job joblib would start no process
@@ -74,7 +75,7 @@ def _render_once(
         yield from rendered
 
 
-def _render_watched(config: GenDatasetConfig, shard: int, plan: Plan) -> RenderedShard:
+def _render_watched(config: GenDatasetConfig, shard: int, plan: Plan) -> FinishedShard:
     """Render a shard; runs in a worker process."""
     use_one_software_thread()
     mujoco.set_mju_user_warning(lambda message: None)  # told here; it would write MUJOCO_LOG.TXT

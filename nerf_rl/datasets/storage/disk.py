@@ -34,8 +34,13 @@ def readable(size: int) -> str:
     return f"{number:.0f} {unit}" if unit == "bytes" or number >= 100 else f"{number:.1f} {unit}"
 
 
-def require_space(folder: Path, needed: int) -> None:
+def require_space(folder: Path, needed: int, less: str = "fewer --episodes or a smaller --size") -> None:
     """Check that there is room for ``needed`` more bytes.
+
+    Args:
+        folder: that they are for.
+        needed: [bytes].
+        less: what makes a dataset smaller, in words.
 
     Raises:
         FailureError: there is not.
@@ -44,7 +49,7 @@ def require_space(folder: Path, needed: int) -> None:
     if needed > free:
         raise FailureError(
             f"{folder} needs {readable(needed)} and its disk has {readable(free)} free; free some space, choose "
-            "another --out, or fewer --episodes or a smaller --size"
+            f"another --out, or {less}"
         )
 
 

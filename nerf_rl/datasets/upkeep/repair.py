@@ -10,10 +10,11 @@ from typing import Any
 
 from nerf_rl.arguments.parsing import config_of
 from nerf_rl.datasets.config import GenDatasetConfig
-from nerf_rl.datasets.generation.manifest import describe, finished_shard, shard_entry, with_shards
-from nerf_rl.datasets.generation.shard_episodes import RenderedShard, open_render_context, shard_count
+from nerf_rl.datasets.generation.manifest import describe
+from nerf_rl.datasets.generation.shard_episodes import open_render_context, shard_count, shard_frames
 from nerf_rl.datasets.generation.workers import render_shards
 from nerf_rl.datasets.storage.disk import bytes_needed, explain_full_disk, require_space
+from nerf_rl.datasets.storage.finished_shards import FinishedShard, finished_shard, shard_entry, with_shards
 from nerf_rl.datasets.storage.plan import PLAN, Plan
 from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS, read_manifest, shard_file, shard_path
 from nerf_rl.datasets.upkeep.problems import Problem, shard_problems
@@ -87,7 +88,8 @@ def _rebuild_manifest(folder: Path, workers: int) -> None:
     context.renderer.close()
     description = describe(config, context, plan)
     found = (
-        finished_shard(folder, config, number, description["scene"], plan) for number in range(shard_count(config))
+        finished_shard(folder, number, shard_frames(config, number), description["scene"], plan)
+        for number in range(shard_count(config))
     )
     trusted = {shard.shard: shard for shard in found if shard is not None and shard.sha256 in damaged_text}
     doubtful = [number for number in range(shard_count(config)) if number not in trusted]
@@ -101,7 +103,7 @@ def _rebuild_manifest(folder: Path, workers: int) -> None:
     write_checksummed(folder / MANIFEST, manifest)
 
 
-def _render(folder: Path, config: GenDatasetConfig, shards: Collection[int], plan: Plan) -> list[RenderedShard]:
+def _render(folder: Path, config: GenDatasetConfig, shards: Collection[int], plan: Plan) -> list[FinishedShard]:
     """Render shards in a folder beside the dataset's own ones."""
     aside = folder / _ASIDE
     shutil.rmtree(aside, ignore_errors=True)
