@@ -3,6 +3,8 @@
 from pathlib import Path
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.stored_manifest import STATE
+from nerf_rl.errors import UserError
 from nerf_rl.files.json_files import write_json
 from nerf_rl.files.outputs import SUMMARY, prepare_output, write_provenance
 from nerf_rl.machine.devices import check_device, resolve_device
@@ -15,9 +17,11 @@ def probe(config: ProbeConfig) -> None:
     """Probe an encoder on a dataset's held-out episodes; print the table and write ``summary.json`` if asked to.
 
     Raises:
-        UserError: no such encoder or dataset, no such device, or the dataset has another camera rig.
+        UserError: no such encoder or dataset, no such device, or the dataset has another camera rig or no true state.
     """
     dataset = MultiViewDataset(config.data)
+    if STATE in dataset.absent:
+        raise UserError(f"{config.data} has no columns of the true state, so there is nothing to read from a latent")
     _, description = read_description(config.encoder)
     EncoderRig.from_json(description["rig"]).require_same(EncoderRig.of_dataset(dataset))
     check_device(config.device)

@@ -14,6 +14,7 @@ from nerf_rl.loggers import require_loggers
 from nerf_rl.machine.memory import peak_rss_mb
 from nerf_rl.machine.threads import wait_passively
 from nerf_rl.pretrain.config import PretrainConfig
+from nerf_rl.pretrain.data.needs import require_modalities
 from nerf_rl.pretrain.data.teachers import find_teacher
 from nerf_rl.pretrain.execution.launch import rank_from_outside, run_on_each_device
 from nerf_rl.pretrain.measures.figures import describe_hardly_shown, describe_validation, hardly_shown
@@ -25,13 +26,14 @@ def pretrain(config: PretrainConfig) -> None:
     """Train an encoder on a dataset and export it into ``config.out``.
 
     Raises:
-        UserError: no dataset, too few frames, cameras that do not move together, devices that there are not, or an
-            output folder in use.
+        UserError: no dataset, too few frames, cameras that do not move together, depth or labels that an imported
+            dataset lacks, devices that there are not, or an output folder in use.
     """
     dataset = MultiViewDataset(config.data)
     if min(len(dataset.split(name)) for name in SPLIT_NAMES) < 2:  # probes need two
         raise UserError(f"{config.data} needs training and validation frames; generate more than one episode")
     EncoderRig.of_dataset(dataset)
+    require_modalities(dataset, config)
     for name in config.teachers:
         find_teacher(name)
     require_loggers(config.loggers)

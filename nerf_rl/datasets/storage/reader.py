@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from nerf_rl.cameras.geometry import projection_matrix
@@ -107,6 +107,14 @@ class MultiViewDataset:
         """Return the column names of ``proprio``, ``privileged`` or ``action``."""
         return tuple(self.manifest["columns"][group])
 
+    @property
+    def absent(self) -> tuple[str, ...]:
+        """What of ``depth``, ``labels`` and ``state`` the dataset lacks, as one of imported pictures may.
+
+        In place of depth there is that of the far plane then, in place of labels the background; of state no columns.
+        """
+        return tuple(self.manifest.get("absent", ()))
+
     def joints(self) -> list[dict[str, str]]:
         """Return ``name`` and ``kind`` of the joints that make up ``state/qpos``; none if the manifest is older."""
         return self.manifest.get("joints", [])
@@ -177,6 +185,13 @@ class MultiViewDataset:
             raise UserError(f"{self.folder} is damaged: a picture shows the class {most}; make the dataset again")
         return labels
 
+    def read_valid(self, frames: Sequence[int] | ndarray) -> Bool[ndarray, "N V H W"] | None:
+        """Tell which pixels of some frames count; None of a dataset of which all do.
+
+        Imported pictures may have masks, and pixels whose depth is not known.
+        """
+        return self.read("valid", frames) != 0 if "valid" in self._locations(0) else None
+
     def cameras(self, frames: Sequence[int] | ndarray) -> tuple[Float[ndarray, "V 3 3"], Float[ndarray, "N V 4 4"]]:
         """Return intrinsics [pixels] and the ``camera_from_world`` of each frame and camera.
 
@@ -232,7 +247,7 @@ class MultiViewDataset:
         intrinsics, poses = self.cameras(frames)
         return projection_matrix(np.broadcast_to(intrinsics, (len(poses), *intrinsics.shape)), poses)
 
-    def _location(self, shard: int, name: str) -> ArrayLocation:
+    def _locations(self, shard: int) -> Mapping[str, ArrayLocation]:
         if shard not in self._arrays:
             frames = self.manifest["shards"][shard]["frames"]
             found = locate_arrays(self._paths[shard], frames, known_arrays(self.manifest))
@@ -240,9 +255,12 @@ class MultiViewDataset:
             self._arrays[shard] = next(
                 (known for known in list(self._arrays.values())[:_COMPARED] if known == found), found
             )
-        if name not in self._arrays[shard]:
-            raise UnknownNameError("array", name, self._arrays[shard])
-        return self._arrays[shard][name]
+        return self._arrays[shard]
+
+    def _location(self, shard: int, name: str) -> ArrayLocation:
+        if name not in self._locations(shard):
+            raise UnknownNameError("array", name, self._locations(shard))
+        return self._locations(shard)[name]
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "_open"}

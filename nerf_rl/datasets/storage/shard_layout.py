@@ -46,7 +46,7 @@ def known_arrays(manifest: Mapping[str, Any]) -> Known:
     return {
         "rgb": ((*image, 3), "u1"),
         "depth": (image, "<f4"),
-        "semantic": (image, "u1"),
+        **dict.fromkeys(("semantic", "valid"), (image, "u1")),
         **dict.fromkeys(("episode", "step"), ((), "<i4")),
         **dict.fromkeys(("split", "success"), ((), "u1")),
         **{f"state/{name}": ((None,), "<f8") for name in ("qpos", "qvel")},

@@ -15,7 +15,12 @@ import h5py
 import numpy as np
 from numpy import ndarray
 
-from nerf_rl.datasets.storage.stored_manifest import COUNTS, MANIFEST_STRUCTURE, StoredManifest
+from nerf_rl.datasets.storage.stored_manifest import (
+    MANIFEST_STRUCTURE,
+    StoredManifest,
+    content_keys,
+    frames_of_shard,
+)
 from nerf_rl.errors import MissingFileError
 from nerf_rl.files.atomic import rename_durably
 from nerf_rl.files.checksummed_json import CHECKSUM, is_whole
@@ -37,22 +42,26 @@ Layout = Mapping[str, tuple[tuple[int, ...], str]]
 
 def frame_layout(
     views: int,
-    size: int,
+    size: int | tuple[int, int],
     moving_cameras: bool,
-    model_sizes: Mapping[str, int],
+    model_sizes: Mapping[str, int] | None,
     columns: Mapping[str, int],
     tracking_frame: bool = False,
+    valid: bool = False,
 ) -> Layout:
     """Return the arrays of a shard that have one row a frame.
 
     Args:
-        views, size: cameras; image height and width [pixels].
+        views: cameras.
+        size: image height and width [pixels]; one number if they are the same.
         moving_cameras: whether extrinsics differ from frame to frame.
-        model_sizes: of the MuJoCo model: nq, nv, nbody, nmocap.
+        model_sizes: of the MuJoCo model: nq, nv, nbody, nmocap; None where there is no simulator.
         columns: number of named columns of ``proprio``, ``privileged`` and ``action``.
         tracking_frame: whether the encoder's cameras stand still in a frame that moves.
+        valid: whether some pixels do not count.
     """
-    image = (views, size, size)
+    height, width = (size, size) if isinstance(size, int) else size
+    image = (views, height, width)
     layout = {
         "rgb": ((*image, 3), "u1"),
         "depth": (image, "<f4"),
@@ -60,12 +69,7 @@ def frame_layout(
         "episode": ((), "<i4"),
         "step": ((), "<i4"),
         "split": ((), "u1"),
-        "state/qpos": ((model_sizes["nq"],), "<f8"),
-        "state/qvel": ((model_sizes["nv"],), "<f8"),
-        "state/mocap_pos": ((model_sizes["nmocap"], 3), "<f8"),
-        "state/mocap_quat": ((model_sizes["nmocap"], 4), "<f8"),
-        "state/body_pos": ((model_sizes["nbody"], 3), "<f8"),
-        "state/body_quat": ((model_sizes["nbody"], 4), "<f8"),
+        **(_model_layout(model_sizes) if model_sizes is not None else {}),
         **{f"state/{name}": ((count,), "<f4") for name, count in columns.items()},
         "reward": ((), "<f4"),
         "success": ((), "u1"),
@@ -75,7 +79,21 @@ def frame_layout(
         layout["cameras/projection"] = ((views, 3, 4), "<f8")
     if tracking_frame:
         layout["cameras/tracking_origin"] = ((3,), "<f8")
+    if valid:
+        layout["valid"] = (image, "u1")
     return layout
+
+
+def _model_layout(sizes: Mapping[str, int]) -> dict[str, tuple[tuple[int, ...], str]]:
+    """Return the arrays that hold the state of a MuJoCo model."""
+    return {
+        "state/qpos": ((sizes["nq"],), "<f8"),
+        "state/qvel": ((sizes["nv"],), "<f8"),
+        "state/mocap_pos": ((sizes["nmocap"], 3), "<f8"),
+        "state/mocap_quat": ((sizes["nmocap"], 4), "<f8"),
+        "state/body_pos": ((sizes["nbody"], 3), "<f8"),
+        "state/body_quat": ((sizes["nbody"], 4), "<f8"),
+    }
 
 
 class ShardWriter:
@@ -261,13 +279,11 @@ def read_unfinished(folder: Path) -> dict:
     content = read_json(description)
     entries = []
     try:
-        mapping({"config": mapping(COUNTS, others=True)}, others=True)(content, "")
-        config = content["config"]
+        mapping({"config": content_keys}, others=True)(content, "")
         for path in sorted((folder / SHARDS).glob("[0-9]*.h5")):
-            first = int(path.stem) * config["episodes_per_shard"] if path.stem.isdecimal() else config["episodes"]
-            if first < config["episodes"]:
-                episodes = min(config["episodes_per_shard"], config["episodes"] - first)
-                entries.append({"file": f"{SHARDS}/{path.name}", "frames": episodes * config["frames_per_episode"]})
+            frames = frames_of_shard(content["config"], int(path.stem)) if path.stem.isdecimal() else 0
+            if frames:
+                entries.append({"file": f"{SHARDS}/{path.name}", "frames": frames})
         if not entries:
             raise MissingFileError("a dataset", folder, "it has no whole shard yet", "wait for the first one")
         whole_so_far = {**content, "frames": sum(entry["frames"] for entry in entries), "shards": entries}

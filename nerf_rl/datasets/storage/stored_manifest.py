@@ -4,6 +4,7 @@ Shards are named ``shards/NNNNNN.h5`` and nothing else, so that no manifest can 
 of that name may be a link: where the bytes of a dataset lie is for the owner of the folder to say.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,28 +14,51 @@ from nerf_rl.errors import MissingFileError
 from nerf_rl.files.structure import array, listing, mapping, number, one_of, optional, table, text, whole
 
 LARGEST_IMAGE = 16384  # [pixels]
-_MOST_CLASSES = 256  # labels are bytes
+MOST_CLASSES = 256  # labels are bytes
 ROLES = ("encoder", "supervision", "test")
-COUNTS = {"episodes": whole(1), "frames_per_episode": whole(1), "episodes_per_shard": whole(1)}
-"""of a dataset's configuration: what tells how many frames its shards have"""
+IMPORTED_FROM = "imported_from"
+"""key of an imported dataset's configuration: the format of its source; others are rendered"""
+EPISODE_FRAMES = "episode_frames"
+"""key of an imported dataset's configuration: how many frames each episode has; rendered ones have equally many"""
+DEPTH, LABELS, STATE = "depth", "labels", "state"
+MODALITIES = (DEPTH, LABELS, STATE)
+"""what a dataset may lack beside its pictures; of depth and labels, such a dataset holds an empty filling"""
 JOINT_NUMBERS = {"free": 7, "ball": 4, "slide": 1, "hinge": 1}
 """how many numbers of ``qpos`` a joint has, by its kind"""
 
 _NAME = text()
+_RENDERED = mapping({"episodes": whole(1), "frames_per_episode": whole(1), "episodes_per_shard": whole(1)}, others=True)
+_FRAMES_OF_EPISODES = listing(whole(1), 1)
+_IMPORTED = mapping(
+    {IMPORTED_FROM: _NAME, EPISODE_FRAMES: _FRAMES_OF_EPISODES, "episodes_per_shard": whole(1)}, others=True
+)
 _SHARD = mapping(
     {"file": text(r"shards/\d{6,9}\.h5", "the name of a shard, shards/NNNNNN.h5"), "frames": whole(1)},
     {"sha256": _NAME},
     others=True,
 )
 
+
+def content_keys(value: Any, place: str) -> None:
+    """Check of a dataset's configuration what tells how many frames its shards have."""
+    (_IMPORTED if isinstance(value, dict) and IMPORTED_FROM in value else _RENDERED)(value, place)
+
+
+def _config(value: Any, place: str) -> None:
+    content_keys(value, place)
+    if IMPORTED_FROM not in value:
+        mapping({"quality": one_of("fast", "full")}, others=True)(value, place)
+
+
 MANIFEST_STRUCTURE = mapping(
     {"schema_version": whole()},
     {
         "shards": listing(_SHARD),
         "cameras": listing(mapping({"name": _NAME, "role": one_of(*ROLES)}, others=True), 1, MOST_CAMERAS),
-        "classes": listing(mapping({"name": _NAME, "colour": array(3, of=whole(0, 255))}), 1, _MOST_CLASSES),
+        "classes": listing(mapping({"name": _NAME, "colour": array(3, of=whole(0, 255))}), 1, MOST_CLASSES),
         "columns": mapping({kind: listing(_NAME) for kind in ("proprio", "privileged", "action")}, others=True),
-        "config": mapping({**COUNTS, "quality": one_of("fast", "full")}, others=True),
+        "config": _config,
+        "absent": listing(one_of(*MODALITIES)),
         "scene": mapping({"name": _NAME}, others=True),
         "packages": table(_NAME),
         "height": whole(1, LARGEST_IMAGE),
@@ -51,6 +75,25 @@ MANIFEST_STRUCTURE = mapping(
     others=True,
 )
 """What keys hold; one that is missing is told when it is needed."""
+
+
+def total_frames(config: Mapping[str, Any]) -> int:
+    """Return how many frames a dataset has.
+
+    Args:
+        config: of the dataset, as its manifest has it.
+    """
+    if IMPORTED_FROM in config:
+        return sum(config[EPISODE_FRAMES])
+    return config["episodes"] * config["frames_per_episode"]
+
+
+def frames_of_shard(config: Mapping[str, Any], shard: int) -> int:
+    """Return how many frames a shard of a dataset has; 0 if the dataset has no such shard."""
+    count = config["episodes_per_shard"]
+    if IMPORTED_FROM in config:
+        return sum(config[EPISODE_FRAMES][shard * count : (shard + 1) * count])
+    return max(0, min(count, config["episodes"] - shard * count)) * config["frames_per_episode"]
 
 
 class StoredManifest(dict[str, Any]):

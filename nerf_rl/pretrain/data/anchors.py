@@ -95,6 +95,11 @@ def choose_anchors(middles: Middles) -> Anchors:
     return Anchors(tuple(int(c) for c in chosen), mean[chosen], spread[chosen])
 
 
+def countable_labels(semantic: UInt8[ndarray, "*S"], valid: Bool[ndarray, "*S"] | None) -> UInt8[ndarray, "*S"]:
+    """Return class ids with the background's where a pixel does not count, so that no middle is drawn there."""
+    return semantic if valid is None else np.where(valid, semantic, np.uint8(BACKGROUND))
+
+
 class FollowedMiddles:
     """The middles of the classes that are followed, each frame's measured when a batch first shows it.
 

@@ -12,7 +12,7 @@ from torch.utils.data import Dataset
 from nerf_rl.cameras.geometry import camera_position, pixel_directions
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import PretrainConfig
-from nerf_rl.pretrain.data.anchors import FollowedMiddles
+from nerf_rl.pretrain.data.anchors import FollowedMiddles, countable_labels
 from nerf_rl.pretrain.data.statistics import Statistics
 from nerf_rl.pretrain.data.teachers import Pixels, Views, teacher_features
 
@@ -67,12 +67,13 @@ class RayBatches(Dataset):
         rng = step_random(config, step)
         frames = rng.choice(self._frames, config.scenes_per_step)[self._share]
         rgb, depth = (self._dataset.read(name, frames) for name in ("rgb", "depth"))
-        semantic = self._dataset.read_labels(frames)
+        semantic, valid = self._dataset.read_labels(frames), self._dataset.read_valid(frames)
         intrinsics, poses = self._dataset.tracked_cameras(frames)
         images = rgb[:, self._encoder_views]
         projections = intrinsics[self._encoder_views] @ poses[:, self._encoder_views, :3]
 
-        scene, view, row, column = self._draw_pixels(semantic[:, self._views], rng)
+        counted = None if valid is None else valid[:, self._views]
+        scene, view, row, column = self._draw_pixels(semantic[:, self._views], counted, rng)
         image = scene * depth.shape[1] + view
         flat_poses = np.ascontiguousarray(poses.reshape(-1, 4, 4))
         flat_intrinsics = np.broadcast_to(intrinsics, (len(frames), *intrinsics.shape)).reshape(-1, 3, 3)
@@ -83,7 +84,8 @@ class RayBatches(Dataset):
         views = Views(flat_rgb, flat_depth, flat_semantic, flat_intrinsics, flat_poses, far)
         features = teacher_features(config.teachers, views, Pixels(image, row, column))
         own = self._encoder_views
-        middles = self._middles.of(frames, depth[:, own], semantic[:, own], intrinsics[own], poses[:, own])
+        labels = countable_labels(semantic, valid)
+        middles = self._middles.of(frames, depth[:, own], labels[:, own], intrinsics[own], poses[:, own])
         shape = (len(frames), config.rays_per_scene)
 
         def tensor(values: ndarray, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -103,10 +105,11 @@ class RayBatches(Dataset):
         )
 
     def _draw_pixels(
-        self, semantic: UInt8[ndarray, "B V H W"], rng: np.random.Generator
+        self, semantic: UInt8[ndarray, "B V H W"], valid: Bool[ndarray, "B V H W"] | None, rng: np.random.Generator
     ) -> tuple[Int[ndarray, "M"], Int[ndarray, "M"], Int[ndarray, "M"], Int[ndarray, "M"]]:
         """Draw rays of each scene by the weights of their pixels' classes; return scene, view, row and column.
 
+        Pixels that do not count have no weight; all do if ``valid`` is None.
         Each scene's rays are drawn from a uniform sample of its pixels, which is much larger than the number of rays.
         """
         scenes, rays = self._config.scenes_per_step, self._config.rays_per_scene
@@ -114,6 +117,8 @@ class RayBatches(Dataset):
         candidates = rng.integers(flat.shape[1], size=(scenes, rays * _CANDIDATES_PER_RAY))[self._share]
         weights = self._statistics.class_weights.take(np.take_along_axis(flat, candidates, axis=1))
         weights *= self._statistics.pixel_weights.take(candidates)
+        if valid is not None:
+            weights *= np.take_along_axis(valid.reshape(len(valid), -1), candidates, axis=1)
         cumulative = np.cumsum(weights, axis=1)
         levels = rng.random((scenes, rays))[self._share] * cumulative[:, -1:]
         drawn = np.stack(

@@ -8,9 +8,11 @@ from numpy import ndarray
 
 from nerf_rl.cameras.geometry import camera_position, pixel_directions
 from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.stored_manifest import DEPTH
 from nerf_rl.errors import UserError
 from nerf_rl.pretrain.config import PretrainConfig
-from nerf_rl.pretrain.data.anchors import Anchors, Middles, choose_anchors, visible_middles
+from nerf_rl.pretrain.data.anchors import Anchors, Middles, choose_anchors, countable_labels, visible_middles
+from nerf_rl.pretrain.data.looked_at import FARTHEST, NEAREST, distances_to_what_is_looked_at
 from nerf_rl.pretrain.model.field import FieldBounds
 
 _FRAMES = 200
@@ -18,7 +20,8 @@ _FRAMES_AT_ONCE = 8
 _MOST_PIXELS = 1_000_000  # whose depth is looked at
 _PIXELS_PER_POINT = 7  # of them
 _HIT = 0.999  # of the far plane: what is nearer was hit by a ray, not missed by all
-_BACKDROP = 2.5  # in median depths of what is hit
+_NEAREST = 0.8  # of the nearest depth that is hit
+_BACKDROP = FARTHEST  # in median depths of what is hit
 _BACKDROP_OF_THINGS = 10.0  # in median depths of what is not background
 _BACKGROUND = 0  # class id
 
@@ -65,6 +68,8 @@ def measure(dataset: MultiViewDataset, config: PretrainConfig) -> Statistics:
     moving = np.abs(poses[:, views] - poses[:1, views]).max((0, 2, 3)) > 1e-9
     change = np.where(moving[:, None, None], 0.0, class_change(shown))
     change[moving] = change[~moving].mean() if not moving.all() else 0.0
+    if DEPTH in dataset.absent:
+        pixels = _as_if_looked_at(pixels, poses[:, views], config)
     bounds = _bounds(dataset, config, pixels, intrinsics[views], poses[:, views])
     weights = frequency**-config.class_balance, 1.0 + config.change_boost * change
     followed = _middles(dataset, frames) if config.losses.anchor else Middles.of_nothing(len(dataset.class_names))
@@ -111,9 +116,29 @@ def _middles(dataset: MultiViewDataset, frames: ndarray) -> Middles:
     for first in range(0, len(frames), _FRAMES_AT_ONCE):
         chunk = frames[first : first + _FRAMES_AT_ONCE]
         intrinsics, poses = dataset.tracked_cameras(chunk)
-        depth, semantic = dataset.read("depth", chunk)[:, views], dataset.read_labels(chunk)[:, views]
-        parts.append(visible_middles(depth, semantic, intrinsics[views], poses[:, views], len(dataset.class_names)))
+        depth, semantic = dataset.read("depth", chunk)[:, views], dataset.read_labels(chunk)
+        labels = countable_labels(semantic, dataset.read_valid(chunk))[:, views]
+        parts.append(visible_middles(depth, labels, intrinsics[views], poses[:, views], len(dataset.class_names)))
     return Middles(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _as_if_looked_at(pixels: _Pixels, poses: Float[ndarray, "N V 4 4"], config: PretrainConfig) -> _Pixels:
+    """Return pixels with the depth of what their cameras look at, where no true depth is known.
+
+    Args:
+        pixels: of these frames and views.
+        poses: ``camera_from_world`` of the views.
+        config: of the run.
+
+    Raises:
+        UserError: the cameras do not look at one point, and the limits are not given.
+    """
+    near, far = config.sampling.near, config.sampling.far
+    if near is not None and far is not None:
+        depth = np.full(poses.shape[:2], (near + far) / 2)
+    else:
+        depth = distances_to_what_is_looked_at(poses)
+    return pixels._replace(depth=depth[pixels.frame, pixels.view])
 
 
 def _bounds(
@@ -130,7 +155,8 @@ def _bounds(
     sampling = config.sampling
     if not seen.any() and (sampling.near is None or sampling.far is None):
         raise UserError(f"{dataset.folder}: the encoder's cameras see nothing at all; look at it with nerf-rl view")
-    near = sampling.near if sampling.near is not None else 0.8 * float(np.quantile(pixels.depth[seen], 0.001))
+    nearest = NEAREST if DEPTH in dataset.absent else _NEAREST
+    near = sampling.near if sampling.near is not None else nearest * float(np.quantile(pixels.depth[seen], 0.001))
     far = sampling.far
     if far is None:
         far = _BACKDROP * float(np.median(pixels.depth[seen]))

@@ -18,10 +18,10 @@ def describe_validation(figures: Mapping[str, float | None]) -> str:
     """
     if not figures:
         return "no field to validate"
-    depth, ssim = figures["depth_mae_m"], figures.get("ssim")
+    depth, ssim, miou = figures["depth_mae_m"], figures.get("ssim"), figures["miou"]
     structure = "" if ssim is None else f"SSIM {ssim:.2f}, "
     return (
-        f"PSNR {figures['psnr_db']:.1f} dB, {structure}mIoU {figures['miou']:.2f}, "
+        f"PSNR {figures['psnr_db']:.1f} dB, {structure}mIoU {describe_iou(miou)}, "
         f"depth error {UNKNOWN if depth is None else f'{100 * depth:.1f} cm'}"
     )
 

@@ -49,7 +49,7 @@ class ProbeResult:
             for name, figures in getattr(self.encoder, group).items():
                 cells = (f" {_both(getattr(other, group)[name]):>20}" for other in beside.values())
                 lines.append(f"{name:<28} {_both(figures):>17} {figures['r2']:>7.3f}" + "".join(cells))
-        return "\n".join(lines)
+        return "\n".join(lines) if len(lines) > 1 else "no true state that varies, so nothing to probe"
 
     def summary(self) -> dict[str, Figures]:
         """Return what ``summary.json`` holds of them."""

@@ -23,6 +23,8 @@ from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 _WARM_UP = 0.03  # share of the schedule in which the learning rate rises
 _LAST_RATE = 0.02  # of the peak rate
 _LONGEST_GRADIENT = 1.0
+IMPORTED_QUALITY = "full"
+"""of rendering, for an encoder of imported pictures: nothing renders them, and real ones leave nothing out"""
 
 
 class EncoderModule(lightning.LightningModule):
@@ -39,7 +41,7 @@ class EncoderModule(lightning.LightningModule):
         self.config, self._dataset = config, dataset
         self.encoder = Encoder(config.encoder, rig)
         self.encoder.scene = dataset.manifest["scene"]["name"]
-        self.encoder.quality = dataset.manifest["config"]["quality"]
+        self.encoder.quality = dataset.manifest["config"].get("quality", IMPORTED_QUALITY)
         self.encoder.detail = dataset.manifest.get("detail")
         self.encoder.renderer = dataset.manifest.get("renderer", "")
         packages = dataset.manifest.get("packages", {})

@@ -9,6 +9,7 @@ from lightning.pytorch.trainer.states import TrainerFn
 from torch import Tensor, nn
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.stored_manifest import DEPTH, LABELS
 from nerf_rl.metrics import psnr_db
 from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.data.batches import RayBatch
@@ -16,7 +17,7 @@ from nerf_rl.pretrain.data.data_module import NO_FRAME
 from nerf_rl.pretrain.data.statistics import Statistics
 from nerf_rl.pretrain.data.teachers import find_teacher
 from nerf_rl.pretrain.execution.side_by_side import Shares, equal_shares
-from nerf_rl.pretrain.measures.picture_measures import PictureMeasures
+from nerf_rl.pretrain.measures.picture_measures import PictureFigures, PictureMeasures
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 from nerf_rl.pretrain.model.field import RadianceField
 from nerf_rl.pretrain.model.precision import in_full_precision
@@ -28,6 +29,7 @@ from nerf_rl.pretrain.stopping import parse_goal
 _PLANE_RATE = 10.0  # of static feature planes, times the learning rate: few rays reach any one cell
 ENCODER_CAMERAS = "encoder"
 """the role of those that z is made of; a run's figures are of what they see"""
+_LOSSES_OF = {DEPTH: "depth", LABELS: "semantic"}  # which mean nothing where there is none
 _OTHER_CAMERAS = ("test", "supervision")  # roles: never trained on; trained on, but not in these episodes
 _MOST_OTHER_CAMERAS = 2  # of a role, the first ones: some datasets have a dome of fifty
 
@@ -92,6 +94,8 @@ class SnerlModule(EncoderModule):
         with in_full_precision(self.device):
             origins = self.field.origins(latent)[:, : len(self.anchor_spread)]
         named = losses(rendered, batch, origins, self.anchor_spread)
+        for kind in self._dataset.absent:
+            named.pop(_LOSSES_OF.get(kind, ""), None)
         return named, weighted_sum(named, self.config.losses)
 
     def describe_step(self) -> str:
@@ -151,6 +155,8 @@ class SnerlModule(EncoderModule):
         for role, pictures in found.items():
             if pictures is None:
                 return
+            if LABELS in self._dataset.absent:
+                pictures = PictureFigures({**pictures.figures, "miou": None}, {}, {})
             if role == ENCODER_CAMERAS:
                 self.validation, self.class_iou, self.class_share = pictures
             else:
