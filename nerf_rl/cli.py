@@ -41,6 +41,12 @@ COMMANDS = {
         "write a dataset's frames as nerfstudio scenes, coloured point clouds or fused meshes",
         positional="dataset",
     ),
+    "import": Command(
+        "nerf_rl.datasets.importing.config:ImportConfig",
+        "nerf_rl.datasets.importing.importer:import_dataset",
+        "make a dataset of pictures with known cameras: nerfstudio scenes, or a LeRobotDataset",
+        positional="source",
+    ),
     "merge": Command(
         "nerf_rl.datasets.upkeep.merge_config:MergeConfig",
         "nerf_rl.datasets.upkeep.merge:merge",

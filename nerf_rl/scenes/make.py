@@ -4,6 +4,7 @@ import importlib
 
 from nerf_rl.errors import UserError
 from nerf_rl.scenes.base import GYM, METAWORLD, Scene
+from nerf_rl.scenes.imported import require_simulator
 
 MJCF_ENDINGS = (".xml", ".mjcf")
 _SCENES = {
@@ -21,8 +22,9 @@ def make_scene(name: str) -> Scene:
             file, which ends with .xml or .mjcf.
 
     Raises:
-        UserError: no scene has this name.
+        UserError: no scene has this name, or it is that of imported images.
     """
+    require_simulator(name)
     for prefix, (module, scene) in _SCENES.items():
         if name.startswith(prefix):
             return getattr(importlib.import_module(module), scene)(name.removeprefix(prefix))

@@ -51,6 +51,8 @@ def write_scene(folder: Path, seen: Seen, dataset: MultiViewDataset, masks: bool
         entries.append(
             {
                 **entry,
+                "camera": name,
+                "role": dataset.manifest["cameras"][view]["role"],
                 "fl_x": float(K[0, 0]),
                 "fl_y": float(K[1, 1]),
                 "cx": float(K[0, 2]),
@@ -73,7 +75,13 @@ def write_scene(folder: Path, seen: Seen, dataset: MultiViewDataset, masks: bool
         "ply_file_path": "points.ply",
         **(split if held_out else {}),
         "semantic_classes": dataset.manifest["classes"],
-        "source": {"frame": frame.index, "episode": frame.episode, "step": frame.step, "dataset": dataset.digest()},
+        "source": {
+            "frame": frame.index,
+            "episode": frame.episode,
+            "step": frame.step,
+            "split": frame.split,
+            "dataset": dataset.digest(),
+        },
         "frames": entries,
     }
     write_json(folder / "transforms.json", transforms)

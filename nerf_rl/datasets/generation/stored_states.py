@@ -12,6 +12,7 @@ from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.shards import MANIFEST
 from nerf_rl.errors import MissingFileError, UserError
 from nerf_rl.scenes.base import Scene
+from nerf_rl.scenes.imported import require_simulator
 
 _KEPT = ("state/action", "reward", "success")
 _NAMED = ("proprio", "privileged")
@@ -65,6 +66,7 @@ class _DatasetStates:
 
     def __init__(self, folder: Path, scene: Scene):
         self._dataset = MultiViewDataset(folder)
+        require_simulator(self._dataset.manifest["scene"]["name"])
         widths = [self._dataset.read(name, [0]).shape[1:] for name in (*_STATE, *_MODEL)]
         model = scene.model
         own = [(model.nq,), (model.nv,), (model.nmocap, 3), (model.nmocap, 4), (model.nbody, 3), (model.nbody, 4)]

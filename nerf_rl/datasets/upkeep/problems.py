@@ -10,11 +10,14 @@ from nerf_rl.datasets.storage.frame_checks import array_faults, view_faults
 from nerf_rl.datasets.storage.plan import PLAN
 from nerf_rl.datasets.storage.shard_layout import known_arrays, locate_arrays
 from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS, read_manifest, sha256_of
+from nerf_rl.datasets.storage.stored_manifest import total_frames
 from nerf_rl.files.checksummed_json import is_whole
 from nerf_rl.files.json_files import json_text
 from nerf_rl.progress import Progress
 
 _FRAMES_AT_ONCE = 16
+IMPORT_AGAIN = "nerf-rl import with the same keys and --resume true writes what is damaged anew"
+"""what mends a dataset of imported pictures"""
 
 
 class Problem(NamedTuple):
@@ -61,7 +64,7 @@ def shard_problems(folder: Path, manifest: dict[str, Any]) -> Iterator[Problem]:
         manifest: an undamaged one.
     """
     entries = {entry["file"]: entry for entry in manifest["shards"]}
-    expected = manifest["config"]["episodes"] * manifest["config"]["frames_per_episode"]
+    expected = total_frames(manifest["config"])
     if sum(entry["frames"] for entry in entries.values()) != expected:
         yield Problem(MANIFEST, f"it counts other than {expected} frames")
     for path in sorted((folder / SHARDS).iterdir()) if (folder / SHARDS).is_dir() else []:

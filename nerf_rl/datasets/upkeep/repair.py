@@ -17,7 +17,8 @@ from nerf_rl.datasets.storage.disk import bytes_needed, explain_full_disk, requi
 from nerf_rl.datasets.storage.finished_shards import FinishedShard, finished_shard, shard_entry, with_shards
 from nerf_rl.datasets.storage.plan import PLAN, Plan
 from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS, read_manifest, shard_file, shard_path
-from nerf_rl.datasets.upkeep.problems import Problem, shard_problems
+from nerf_rl.datasets.storage.stored_manifest import IMPORTED_FROM
+from nerf_rl.datasets.upkeep.problems import IMPORT_AGAIN, Problem, shard_problems
 from nerf_rl.errors import FailureError, UserError
 from nerf_rl.files.atomic import rename_durably
 from nerf_rl.files.checksummed_json import write_checksummed
@@ -124,6 +125,8 @@ def _render(folder: Path, config: GenDatasetConfig, shards: Collection[int], pla
 
 
 def _config(folder: Path, content: dict[str, Any], workers: int) -> GenDatasetConfig:
+    if IMPORTED_FROM in content:
+        raise UserError(f"{folder} was imported, so there is no simulator to render its shards again; {IMPORT_AGAIN}")
     try:
         return config_of(GenDatasetConfig, {**content, "out": str(folder), "workers": workers})
     except UserError as error:

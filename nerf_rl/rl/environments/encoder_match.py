@@ -9,6 +9,7 @@ from typing import Any
 from nerf_rl.errors import UserError
 from nerf_rl.files.versions import package_versions
 from nerf_rl.pretrain.model.encoder_file import SIMULATORS, read_description
+from nerf_rl.scenes.imported import IMPORTED
 
 
 def check_encoder_scene(encoder: str | Path, scene: str) -> None:
@@ -18,6 +19,11 @@ def check_encoder_scene(encoder: str | Path, scene: str) -> None:
 
 def compare_scenes(trained: str, wanted: str) -> None:
     """Raise UserError if the encoder's scene is not the one to act in."""
+    if trained.startswith(IMPORTED):
+        raise UserError(
+            f"the encoder was trained on {trained}, images that were imported, and no simulator can show it what it "
+            f"knows; pretrain one on a dataset of {wanted}"
+        )
     if trained != wanted:
         raise UserError(
             f"the encoder was trained on scene {trained}, not {wanted}; use --scene {trained} or its encoder"

@@ -45,11 +45,11 @@ def whole_episodes(dataset: MultiViewDataset, chosen: Collection[int]) -> list[E
     kept = np.isin(number, list(chosen)) if chosen else np.ones(len(number), bool)
     scattered = np.flatnonzero(kept & (step != expected))
     if len(scattered):
-        first, steps = int(scattered[0]), int(dataset.manifest["config"]["episode_steps"])
+        first, steps = int(scattered[0]), dataset.manifest["config"].get("episode_steps")
+        remedy = f": make a dataset with --episode_steps {steps} --frames_per_episode {steps + 1}" if steps else ""
         raise UserError(
             f"{dataset.folder} keeps only some steps of its episodes (of episode {number[first]} step {step[first]} "
-            f"but not step {expected[first]}), and LeRobot takes whole episodes: make a dataset with "
-            f"--episode_steps {steps} --frames_per_episode {steps + 1}"
+            f"but not step {expected[first]}), and LeRobot takes whole episodes{remedy}"
         )
     bounds = [*np.flatnonzero(begins).tolist(), len(number)]
     runs = [range(begin, end) for begin, end in itertools.pairwise(bounds) if kept[begin]]

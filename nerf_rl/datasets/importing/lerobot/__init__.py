@@ -1,0 +1,1 @@
+"""LeRobotDatasets with camera matrices, as frames of a dataset."""
