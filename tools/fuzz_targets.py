@@ -21,7 +21,10 @@ from nerf_rl import cli
 from nerf_rl.errors import FailureError, UserError
 from nerf_rl.files.checksummed_json import CHECKSUM, with_checksum
 
-KINDS = ("recipe", "manifest", "plan", "shard", "encoder.json", "field.json", "policy.json", "weights", "checkpoint")
+KINDS = (
+    "recipe", "manifest", "plan", "shard", "encoder.json", "field.json", "policy.json", "weights", "checkpoint",
+    "transforms",
+)  # fmt: skip
 RESULT, SENTENCE, TRACEBACK, HANG, MEMORY, EXECUTED = OUTCOMES = (
     "results", "sentences", "tracebacks", "hangs", "memory", "executed",
 )  # fmt: skip
@@ -64,6 +67,8 @@ class Targets:
         policy = json.loads((self._base.agent / "policy.json").read_text())
         policy["env"]["encoder"] = str(self._base.encoder)
         (self._base.agent / "policy.json").write_text(json.dumps(policy))
+        self._scenes = scratch / "scenes"
+        _command("export", str(self._base.dataset), "--out", str(self._scenes), "--frames", "[0, 1]")
 
     def mutate(self, kind: str, seed: str, number: int) -> tuple[str, str]:
         """Mutate a file and read it; return the outcome and what was said or shown."""
@@ -106,6 +111,7 @@ class Targets:
             "plan": [base.dataset / _PLAN],
             "shard": [base.dataset / _SHARD],
             "weights": [*sorted(base.encoder.glob("*.safetensors")), base.agent / "policy.safetensors"],
+            "transforms": [self._scenes / "frame_000001" / "transforms.json"],
             "checkpoint": [base.encoder / "checkpoints" / "last.ckpt", *sorted(checkpoint.iterdir())],
         }  # fmt: skip
         return files.get(kind) or [(base.agent if kind == "policy.json" else base.encoder) / kind]
@@ -155,6 +161,8 @@ class Targets:
         if kind == "shard":
             return [lambda: _read_dataset(base.dataset), *(seen if slow else []), command("check", data)]
         evaluate = command("evaluate", "--run", agent, "--out", out, "--episodes", "1", "--envs", "1")
+        if kind == "transforms":
+            return [command("import", str(self._scenes), "--out", out)]
         if kind == "encoder.json":
             return [probe, *([picture(encoder), self._train] if slow else [])]
         if kind == "field.json" or path.name == "field.safetensors":
