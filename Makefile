@@ -3,6 +3,7 @@
 # make test    set up, then all tests
 # make test-browser    set up with Chromium, then the tests that look at the viewer in it
 # make paper   set up, then the paper's experiments (hours); ends in the tables of rl/README.md
+# make docs    set up, then the documentation as a site; ends in site/index.html
 # Other verbs: setup, format, check, build, clean. Set-up is done once, and again when pyproject.toml changes.
 
 SHELL := /bin/sh
@@ -22,11 +23,11 @@ ENCODER_KEYS :=
 AGENT_KEYS :=
 REPORT_KEYS :=
 
-.PHONY: help setup demo demo-quick paper format check test test-browser build clean
+.PHONY: help setup demo demo-quick paper format check docs test test-browser build clean
 .DELETE_ON_ERROR:
 
 help:
-	@sed -n 's/^# //p' Makefile | head -6
+	@sed -n 's/^# //p' Makefile | head -7
 
 setup: $(READY)
 
@@ -80,6 +81,11 @@ check: $(READY)
 	$(BIN)/mypy
 	$(BIN)/python tools/import_all_modules.py
 
+# A warning, such as a link to nowhere, is an error. The variable silences an advertisement, not a warning.
+docs: $(READY)
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	@echo "Open site/index.html. Searching it needs a server: $(BIN)/python -m http.server --directory site"
+
 # TESTS narrows the run: make test TESTS="tests/pretrain -x". Each core takes test files one after another.
 test: $(READY)
 	$(BIN)/python -m pytest -n auto --dist loadfile $(TESTS)
@@ -95,5 +101,5 @@ build: $(READY)
 	sh tools/smoke_test_wheel.sh
 
 clean:
-	rm -rf build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache
+	rm -rf build dist site *.egg-info .mypy_cache .ruff_cache .pytest_cache
 	find nerf_rl tests tools -name __pycache__ -type d -prune -exec rm -rf {} +
