@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tiny_recipes import STEPS_OF_RECIPE
 
 from nerf_rl import cli
 from nerf_rl.datasets.storage.reader import MultiViewDataset
@@ -37,29 +38,6 @@ def test_a_dataset_recipe_generates(recipe: str, tmp_path: Path, monkeypatch: py
     words = ["--config", f"datasets/{recipe}.yaml", "--out", str(tmp_path / "data"), *FEW_FRAMES]
     assert cli.main(["gen-dataset", *words]) == 0
     assert len(MultiViewDataset(tmp_path / "data")) == 6
-
-
-STEPS_OF_RECIPE = {  # enough for an update with the recipe's batch
-    "demo": ["--env_steps", "700", "--warmup_steps", "560"],
-    "demonstrations": ["--env_steps", "1300", "--warmup_steps", "560", "--learner.clone_steps", "10"],
-    "drawer-open": ["--env_steps", "700", "--warmup_steps", "560"],
-    "drawer-open-ppo": ["--env_steps", "240", "--warmup_steps", "100", "--ppo.n_steps", "50", "--ppo.batch_size", "50"],
-    "gym": ["--env_steps", "400", "--warmup_steps", "300"],
-    "panda-reach-ppo": [
-        "--env_steps",
-        "240",
-        "--warmup_steps",
-        "100",
-        "--ppo.n_steps",
-        "100",
-        "--ppo.batch_size",
-        "50",
-    ],
-    "panda-reach-sb3-ddpg": ["--env_steps", "400"],
-    "panda-reach": ["--env_steps", "200", "--warmup_steps", "150"],
-    "panda-reach-ee": ["--env_steps", "200", "--warmup_steps", "150", "--learning_starts", "150"],
-    "panda-reach-sparse": ["--env_steps", "200", "--warmup_steps", "150"],
-}
 
 
 def test_every_training_recipe_is_run():

@@ -40,6 +40,29 @@ TINY_TRAINING = ["--env_steps", "80", "--warmup_steps", "40", "--episode_steps",
 TINY_TRAINING += ["--evaluation_every", "40", "--evaluation_episodes", "2", "--final_evaluation_episodes", "2"]
 TINY_TRAINING += ["--replay.capacity", "200", "--network.hidden", "[16, 16]"]
 
+STEPS_OF_RECIPE = {
+    "demo": ["--env_steps", "700", "--warmup_steps", "560"],
+    "demonstrations": ["--env_steps", "1300", "--warmup_steps", "560", "--learner.clone_steps", "10"],
+    "drawer-open": ["--env_steps", "700", "--warmup_steps", "560"],
+    "drawer-open-ppo": ["--env_steps", "240", "--warmup_steps", "100", "--ppo.n_steps", "50", "--ppo.batch_size", "50"],
+    "gym": ["--env_steps", "400", "--warmup_steps", "300"],
+    "panda-reach-ppo": [
+        "--env_steps",
+        "240",
+        "--warmup_steps",
+        "100",
+        "--ppo.n_steps",
+        "100",
+        "--ppo.batch_size",
+        "50",
+    ],
+    "panda-reach-sb3-ddpg": ["--env_steps", "400"],
+    "panda-reach": ["--env_steps", "200", "--warmup_steps", "150"],
+    "panda-reach-ee": ["--env_steps", "200", "--warmup_steps", "150", "--learning_starts", "150"],
+    "panda-reach-sparse": ["--env_steps", "200", "--warmup_steps", "150"],
+}
+"""Of the shipped recipes of agents: enough for an update with the batch of each."""
+
 
 def travelling_recipe(episodes: int = 4) -> str:
     """Return the recipe of a tiny dataset of a robot that travels; its encoder sees two of three cameras."""
