@@ -9,6 +9,8 @@ import torch
 from gymnasium.vector import AsyncVectorEnv
 from test_rl_envs import point_envs
 
+from nerf_rl.errors import UserError
+from nerf_rl.files.tensor_files import read_tensors, write_tensors
 from nerf_rl.progress import Progress
 from nerf_rl.rl.config import LearnerConfig, NetworkConfig, NoiseConfig, ReplayConfig, TrainRLConfig
 from nerf_rl.rl.training.checkpoint import last_checkpoint
@@ -102,6 +104,18 @@ def test_only_the_newest_complete_checkpoint_is_kept(envs: AsyncVectorEnv, tmp_p
         ".json",
         ".safetensors",
     }
+
+
+def test_a_checkpoint_with_an_impossible_random_state_is_told_of(envs: AsyncVectorEnv, tmp_path: Path) -> None:
+    trainer = Trainer(config(tmp_path), envs, tmp_path)
+    train(trainer, 72)
+    trainer.save()
+    trainer.replay.close()
+    path = tmp_path / "checkpoints" / "00000072" / "state.safetensors"
+    tensors = read_tensors(path)
+    write_tensors(path, tensors | {"torch_rng": torch.full_like(tensors["torch_rng"], 255)})
+    with pytest.raises(UserError, match="00000072 is damaged"):
+        Trainer(config(tmp_path, resume=True), envs, tmp_path)
 
 
 def test_an_agent_that_stays_stuck_starts_anew_from_its_memory_and_a_resumed_run_does_so_too(

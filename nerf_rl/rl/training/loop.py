@@ -185,12 +185,16 @@ class Trainer:
         self.agent.load_state_dict(strip_prefix(tensors, "agent"), checkpoint)
         random_state = {name: tensor for name, tensor in tensors.items() if name == "torch_rng"}
         require_tensors(random_state, {"torch_rng": torch.get_rng_state()}, checkpoint)
-        torch.set_rng_state(random_state["torch_rng"])
+        damaged = UserError(
+            f"{checkpoint} is damaged, or of another version of nerf-rl; train again with --overwrite true"
+        )
+        try:
+            torch.set_rng_state(random_state["torch_rng"])
+        except RuntimeError as error:  # a state that the generator cannot be in
+            raise damaged from error
         replay = strip_prefix(tensors, "replay")
         if "stored" not in replay or replay["stored"].numel() != 1 or int(replay["stored"]) < 1:
-            raise UserError(
-                f"{checkpoint} is damaged, or of another version of nerf-rl; train again with --overwrite true"
-            )
+            raise damaged
         stored = int(replay["stored"])
         oldest = max(0, stored - self._config.replay.capacity)
         self.replay.load_state(replay | {"rows": load_rows(checkpoint, oldest, stored)}, checkpoint)
