@@ -25,7 +25,7 @@ def view(config: ViewConfig) -> None:
     folder = resolve(config.path)
     subject = find_subject(folder)
     if subject is Subject.AGENT:
-        find_run(config.path)  # which refuses what somebody else's agent must not do
+        folder = find_run(config.path)  # which refuses what somebody else's agent must not do
     config = dataclasses.replace(config, path=str(folder))
     check_device(config.device)
     for path in config.files.values():

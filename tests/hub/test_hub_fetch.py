@@ -118,7 +118,7 @@ def cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
         (f"hf://{NAME}@v9", "the repository has no revision v9"),
         (f"hf://{NAME}@{'0' * 40}", f"the repository has no revision {'0' * 40}"),
         ("hf://tests", "is no address on the Hugging Face Hub"),
-        (f"hf://{NAME}", f"hf://{NAME} is not an encoder: there is no encoder.json with its encoder.safetensors"),
+        (f"hf://{NAME}", "is not an encoder: there is no encoder.json with its encoder.safetensors"),
     ],
 )
 def test_an_encoder_that_cannot_be_had_is_told_in_a_sentence(

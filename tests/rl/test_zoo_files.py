@@ -13,13 +13,11 @@ from nerf_rl import cli
 from nerf_rl.rl.training.episodes import Episodes
 from nerf_rl.rl.training.zoo_files import EVALUATIONS_NPZ, MONITOR, ZooFiles
 
-monitor = pytest.importorskip("stable_baselines3.common.monitor", reason="the extra sb3 is not installed")
-plotter = pytest.importorskip("stable_baselines3.common.results_plotter")
-
 
 def load_results(run: Path) -> Any:
     """Return the training episodes of a run, as a table, by the function that the Zoo's plot_train calls."""
     pytest.importorskip("pandas", reason="Stable-Baselines3 reads monitor.csv with pandas, which is not installed")
+    monitor = pytest.importorskip("stable_baselines3.common.monitor", reason="the extra sb3 is not installed")
     return monitor.load_results(str(run))
 
 
@@ -39,9 +37,12 @@ def found(*returns: float, success: bool | None = True) -> Episodes:
 )
 def test_a_run_can_be_read_by_the_zoos_plot_scripts(algo: list[str], tmp_path: Path):
     run = tmp_path / "drawer-open_1"
+    pytest.importorskip("stable_baselines3", reason="the extra sb3 is not installed")
     keys = [*TINY_TRAINING, "--final_evaluation_episodes", "3", *algo]
-    assert cli.main(["train-rl", "--out", str(run), "--episode_steps", "10", *keys]) == 0
+    assert cli.main(["train-rl", "--out", str(run), *keys, "--episode_steps", "10"]) == 0
     episodes = load_results(run)
+    from stable_baselines3.common import results_plotter as plotter
+
     x, y = plotter.ts2xy(episodes, plotter.X_TIMESTEPS)
     assert list(y) == list(episodes["r"]) and list(x) == list(np.cumsum(episodes["l"]))
     assert set(episodes["l"]) == {10} and len(episodes) >= 4 and x[-1] <= 80

@@ -91,7 +91,7 @@ def _kept_episodes(path: Path, env_steps: int) -> tuple[dict, list[dict[str, str
         return {name: head[name] for name in ("t_start", "env_id")}, [
             {name: row[name] for name in _COLUMNS} for row in rows if int(row["env_steps"]) <= env_steps
         ]
-    except (OSError, ValueError, KeyError, TypeError, csv.Error):
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, csv.Error):
         return {}, []  # it only serves plots: a run is not held up by it
 
 
@@ -108,5 +108,5 @@ def _kept_evaluations(path: Path, env_steps: int) -> dict[str, ndarray]:
             return {}
         kept = steps <= env_steps
         return {name: values[kept] for name, values in held.items()} if kept.any() else {}
-    except (OSError, ValueError, KeyError, IndexError, TypeError, zipfile.BadZipFile):
+    except (OSError, EOFError, ValueError, LookupError, TypeError, AttributeError, zipfile.BadZipFile):
         return {}
