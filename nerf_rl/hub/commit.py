@@ -30,7 +30,7 @@ def commit_folder(folder: Path, address: Address, private: bool, message: str, u
     repository, branch = address.repository, address.revision or None
     with told_plainly(address, "pushed to"):
         import huggingface_hub
-        from huggingface_hub import CommitOperationAdd, CommitOperationDelete
+        from huggingface_hub import CommitOperationAdd, CommitOperationCopy, CommitOperationDelete
         from huggingface_hub.utils import disable_progress_bars
 
         if not sys.stderr.isatty():
@@ -44,7 +44,7 @@ def commit_folder(folder: Path, address: Address, private: bool, message: str, u
         if unlike in there:
             raise UserError(f"{address} holds another kind of artefact ({unlike}); push to another repository")
         stale = [name for name in there if name in FILES and name not in names]
-        operations = [
+        operations: list[CommitOperationAdd | CommitOperationCopy | CommitOperationDelete] = [
             *(CommitOperationAdd(path_in_repo=name, path_or_fileobj=folder / name) for name in names),
             *(CommitOperationDelete(path_in_repo=name) for name in stale),
         ]

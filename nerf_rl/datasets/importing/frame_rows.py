@@ -58,7 +58,7 @@ def _faults(content: Content, row: dict[str, ndarray]) -> Iterator[str]:
     for (view,), fault in view_faults(row["rgb"], row["depth"]):
         yield f"camera {names[view]} {fault}"
     if "valid" in row:
-        for view in np.flatnonzero(~row["valid"].any((1, 2))):
+        for view in np.flatnonzero(~row["valid"].any((1, 2))).tolist():
             yield f"camera {names[view]} has no pixel that counts: all are masked, or of unknown depth"
     for name, values in row.items():
         yield from (f"{name} {fault}" for fault in array_faults(values))

@@ -180,7 +180,7 @@ def _codes(feature: dict[str, Any], scale: float) -> DepthCodes:
     Raises:
         ValueError: they mean something else than an import reads.
     """
-    info = feature.get("info")
+    info = feature.get("info", {})
     _DEPTH(info, "info")
     nearest, farthest = info["video.depth_min"], info["video.depth_max"]
     if not info["video.use_log"] or info["video.shift"] != 0 or info["depth_unit"] != "m":
