@@ -27,7 +27,7 @@ def evaluations(run: Path) -> dict[str, np.ndarray]:
 
 
 def found(*returns: float, success: bool | None = True) -> Episodes:
-    numbers = np.array(returns)
+    numbers = np.array(returns, np.float64)
     told = None if success is None else np.full(len(numbers), success)
     return Episodes(told, numbers, np.arange(len(numbers)) + 1)
 
