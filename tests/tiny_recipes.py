@@ -42,7 +42,16 @@ TINY_TRAINING += ["--replay.capacity", "200", "--network.hidden", "[16, 16]"]
 
 STEPS_OF_RECIPE = {
     "demo": ["--env_steps", "700", "--warmup_steps", "560"],
-    "demonstrations": ["--env_steps", "1300", "--warmup_steps", "560", "--learner.clone_steps", "10"],
+    "demonstrations": [
+        "--env_steps",
+        "1300",
+        "--warmup_steps",
+        "560",
+        "--learner.clone_steps",
+        "10",
+        "--episode_steps",  # in which the script succeeds
+        "200",
+    ],
     "drawer-open": ["--env_steps", "700", "--warmup_steps", "560"],
     "drawer-open-ppo": ["--env_steps", "240", "--warmup_steps", "100", "--ppo.n_steps", "50", "--ppo.batch_size", "50"],
     "gym": ["--env_steps", "400", "--warmup_steps", "300"],

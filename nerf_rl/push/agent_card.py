@@ -12,7 +12,7 @@ from nerf_rl.push.card import UNKNOWN, Naming, code, front_matter, installing, j
 from nerf_rl.push.encoder_card import describe_cameras
 from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION
 from nerf_rl.rl.config import BLIND, NO_CONTROL, RANDOM
-from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS, read_evaluations
+from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS, read_evaluations, with_demonstrations
 
 _EYES = {
     BLIND: "the same agent, trained with latents of zero",
@@ -143,6 +143,7 @@ def _row(evaluation: Mapping[str, Any]) -> list[str]:
     rate = UNKNOWN
     if SUCCESS in evaluation:
         rate = f"{evaluation[SUCCESS]:.0%} [{evaluation[LOW]:.0%}, {evaluation[HIGH]:.0%}]"
+        rate += with_demonstrations(evaluation)
     steps, episodes = f"{evaluation['env_steps']:,}", str(evaluation["episodes"])
     return [steps, episodes, rate, f"{evaluation['mean_return']:.4g}"]
 

@@ -253,7 +253,7 @@ def fewer(command: str, config: Any, words: list[str]) -> list[str]:
             keys += WHOLE_EPISODES.split()
     if command == "train-rl":
         recipe = Path(words[words.index("--config") + 1]).stem
-        keys = [*STEPS_OF_RECIPE.get(recipe, STEPS_OF_RECIPE["drawer-open"]), *keys]
+        keys += STEPS_OF_RECIPE.get(recipe, STEPS_OF_RECIPE["drawer-open"])
     return keys
 
 

@@ -265,6 +265,8 @@ def test_every_success_rate_says_with_how_many_demonstrations(
     assert json.loads((out / "summary.json").read_text())["demonstrations"] == 1
     assert cli.main(["report", "--agent", str(run), "--out", str(tmp_path / "page.html"), "--episodes", "1"]) == 0
     assert capsys.readouterr().out.count("with 1 demonstration") == 2
+    assert cli.main(["push", str(run), "--out", str(tmp_path / "card")]) == 0
+    assert "], with 1 demonstration |" in (tmp_path / "card" / "README.md").read_text()
     page = (tmp_path / "page.html").read_text()
     assert "with 1 demonstration" in page and "Trained with 1 demonstration of the task" in page
 
