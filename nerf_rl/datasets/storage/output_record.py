@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from nerf_rl.datasets.storage.finished_shards import FinishedShard, finished_shard
 from nerf_rl.datasets.storage.plan import PLAN, Plan, begun_plan
@@ -13,6 +13,7 @@ from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY, check_output, prepare_output, write_provenance
 
 
+@runtime_checkable
 class RunKeys(Protocol):
     """The keys of a command that decide what happens to an output folder in use."""
 
