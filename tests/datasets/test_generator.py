@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from nerf_rl import cli
-from nerf_rl.datasets.config import GenDatasetConfig
-from nerf_rl.datasets.generation.shard_episodes import open_render_context, validation_episodes
+from nerf_rl.datasets.generation.shard_episodes import open_render_context
 from nerf_rl.datasets.generation.unfinished import OutputRecord
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS, sha256_of
+from nerf_rl.datasets.storage.splits import validation_episodes
 from nerf_rl.files.outputs import PROVENANCE
 
 EPISODES, FRAMES_PER_EPISODE, STEPS, SIZE, VIEWS = 4, 3, 12, 24, 4
@@ -206,10 +206,7 @@ def test_an_episode_is_in_one_split(tiny_dataset: Path):
     "episodes, fraction, expected", [(10, 0.0, 0), (10, 0.3, 3), (2, 0.01, 1), (2, 0.99, 1), (1, 0.5, 0)]
 )
 def test_the_share_of_held_out_episodes_is_what_was_asked_for(episodes: int, fraction: float, expected: int):
-    chosen = {
-        validation_episodes(GenDatasetConfig("x", episodes=episodes, validation_fraction=fraction, seed=seed))
-        for seed in range(20)
-    }
+    chosen = {validation_episodes(episodes, fraction, seed) for seed in range(20)}
     assert {len(held_out) for held_out in chosen} == {expected}
     assert all(held_out <= set(range(episodes)) for held_out in chosen)
     assert len(chosen) > 1 or expected == 0

@@ -133,7 +133,7 @@ FAULTS = [
     (edit(lambda content: content.update(cx=99.0)), "a principal point, 99, 6, is outside of its picture"),
     (edit(lambda content: content.update(camera_model="OPENCV_FISHEYE")), "its camera model is OPENCV_FISHEYE"),
     (edit(lambda content: content.update(k4=0.1)), "a fourth radial term"),
-    (edit(lambda content: content.update(fl_x=11.0)), "camera_0 has other intrinsics than in"),
+    (edit(lambda content: content.update(camera=5, mask_path=7, fl_x=11.0)), "camera_0 has other intrinsics than in"),
     (
         edit(lambda content: content.update(semantic_classes=[{"name": "a", "colour": [0, 0, 0]}])),
         "other semantic_classes",

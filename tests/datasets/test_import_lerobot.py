@@ -136,7 +136,7 @@ FAULTS = [
     (camera(width=26), "its cameras have pictures of different sizes"),
     (camera(name="left"), "two cameras have one name"),
     (camera(depth_key=None), "some of its cameras have depth and some have none"),
-    (edit("meta/cameras.json", lambda c: c["classes"].pop()), "and meta/cameras.json names"),
+    (edit("meta/cameras.json", lambda c: c["classes"].__delitem__(slice(2, None))), "and meta/cameras.json names"),
     (edit("meta/info.json", lambda c: c.update(codebase_version="v2.1")), "its version is v2.1, and v3.x is read"),
     (edit("meta/info.json", lambda c: c.update(video_path="/tmp/{video_key}")), "not LeRobot's own"),
     (edit("meta/info.json", lambda c: c.update(total_frames=10**9)), "total_frames is 1000000000"),

@@ -4,6 +4,7 @@ A small file may claim, and truly decode to, a picture of gigabytes, so the size
 """
 
 import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -69,6 +70,8 @@ def _decoded(path: Path, height: int, width: int, flags: int) -> ndarray:
     found = _size(path, content)
     if found != (height, width):
         raise SourceError(path, f"it is {found[1]} x {found[0]} pixels large instead of {width} x {height}")
+    if content.startswith(_PNG) and not _is_whole_png(content):  # decoders make do with what there is
+        raise SourceError(path, "its picture is damaged")
     try:
         decoded = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
     except cv2.error as error:
@@ -90,6 +93,20 @@ def _size(path: Path, content: bytes) -> tuple[int, int]:
     if not 0 < found[0] * found[1] <= MOST_PIXELS:
         raise SourceError(path, f"it claims {found[1]} x {found[0]} pixels; at most {MOST_PIXELS} are read")
     return found
+
+
+def _is_whole_png(content: bytes) -> bool:
+    """Tell whether all chunks of a PNG file, up to the one that ends it, have their checksums."""
+    place = len(_PNG)
+    while place + 12 <= len(content):
+        end = place + 8 + struct.unpack(">I", content[place : place + 4])[0]
+        kind = content[place + 4 : place + 8]
+        if content[end : end + 4] != struct.pack(">I", zlib.crc32(content[place + 4 : end])):
+            return False
+        if kind == b"IEND":
+            return True
+        place = end + 4
+    return False
 
 
 def _jpeg_size(content: bytes) -> tuple[int, int] | None:

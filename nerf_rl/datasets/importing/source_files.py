@@ -32,7 +32,8 @@ def file_inside(folder: Path, name: str, named_by: Path) -> Path:
         if not path.is_file():
             raise SourceError(named_by, f"it names {name}, which is not there")
     except (OSError, RuntimeError, ValueError) as error:  # too long a name, links in a circle
-        raise SourceError(named_by, f"it names {name[:200]}, which cannot be read ({error})") from error
+        reason = getattr(error, "strerror", None) or "its links lead in a circle"
+        raise SourceError(named_by, f"it names {name[:200]}, which cannot be read ({reason})") from error
     return path
 
 

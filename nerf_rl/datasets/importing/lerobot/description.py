@@ -148,8 +148,8 @@ def describe(folder: Path, scale: float) -> Description:
         raise SourceError(path, "two cameras have one name")
     if len({camera.codes is None for camera in cameras}) > 1:
         raise SourceError(path, "some of its cameras have depth and some have none")
-    counts = info["total_frames"], info["total_episodes"]
-    return Description(folder, info["fps"], *counts, info["features"], cameras, height, width, content.get("classes"))
+    counts, classes = (info["total_frames"], info["total_episodes"]), content.get("classes")
+    return Description(folder, float(info["fps"]), *counts, info["features"], cameras, height, width, classes)
 
 
 def _camera(entry: dict[str, Any], features: dict[str, Any], scale: float) -> Camera:

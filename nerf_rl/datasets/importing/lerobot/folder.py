@@ -2,7 +2,7 @@
 
 import contextlib
 import math
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -130,15 +130,15 @@ class LeRobotSource(Source):
     def _open(self, stack: contextlib.ExitStack, episode: Episode, camera: Camera) -> dict[str, Iterator[ndarray]]:
         """Return what yields a camera's pictures of an episode, by kind."""
 
-        def pictures(pattern: str, key: str, place: str, pixels: str) -> Iterator[ndarray]:
+        def pictures(pattern: str, key: str, place: str, pixels: str) -> Generator[ndarray, None, None]:
             number, begin = episode.videos[place]
             path = file_path(self._described.folder, pattern, number, key)
             path = file_inside(self._described.folder, str(path.relative_to(self._described.folder)), path)
             size = self.height, self.width
             found = read_pictures(path, pixels, size, begin, episode.length, self._described.fps)
-            return stack.enter_context(contextlib.closing(found))  # type: ignore[type-var]
+            return stack.enter_context(contextlib.closing(found))
 
-        opened = {"colours": pictures(VIDEO, camera.image_key, camera.image_key, COLOURS)}
+        opened: dict[str, Iterator[ndarray]] = {"colours": pictures(VIDEO, camera.image_key, camera.image_key, COLOURS)}
         if self._has_labels:
             opened["labels"] = pictures(LABELS, camera.image_key, camera.image_key, LABEL_PIXELS)
         if camera.depth_key is not None:

@@ -1,6 +1,6 @@
 """Pictures of an episode out of a LeRobotDataset's videos, decoded one by one."""
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from pathlib import Path
 
 from numpy import ndarray
@@ -16,7 +16,7 @@ _CONTAINER = "mp4"  # and no other, whatever the file says: some formats name ot
 
 def read_pictures(
     path: Path, pixels: str, size: tuple[int, int], begin: float, count: int, fps: float
-) -> Iterator[ndarray]:
+) -> Generator[ndarray, None, None]:
     """Yield neighbouring pictures of a video, [H, W, ...].
 
     Args:

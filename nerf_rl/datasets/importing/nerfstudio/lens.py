@@ -39,13 +39,18 @@ class Lens:
         """Return where each pixel of a pinhole's picture, with the same K, lies in the bent one: x and y [H, W]."""
         K = intrinsics.copy()
         K[:2, 2] -= 0.5  # OpenCV's pixels have their centres at whole numbers
-        return cv2.initUndistortRectifyMap(K, np.array(self.coefficients), None, K, (width, height), cv2.CV_32FC1)  # type: ignore[call-overload]
+        bends, as_it_looks = np.array(self.coefficients), np.eye(3)
+        x, y = cv2.initUndistortRectifyMap(K, bends, as_it_looks, K, (width, height), cv2.CV_32FC1)
+        return x, y
 
 
 def unbend(picture: ndarray, maps: tuple[ndarray, ndarray]) -> ndarray:
-    """Return a picture as a pinhole would see it: colours are interpolated, other numbers are those of the nearest."""
-    how = cv2.INTER_LINEAR if picture.ndim == 3 else cv2.INTER_NEAREST
-    return cv2.remap(picture, *maps, how, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+    """Return a picture as a pinhole would see it: colours are interpolated, other numbers are those of the nearest.
+
+    What the bent picture does not show is zero.
+    """
+    x, y = maps
+    return cv2.remap(picture, x, y, cv2.INTER_LINEAR if picture.ndim == 3 else cv2.INTER_NEAREST)
 
 
 def shown(maps: tuple[ndarray, ndarray], height: int, width: int) -> Bool[ndarray, "H W"]:

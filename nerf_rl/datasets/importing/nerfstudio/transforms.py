@@ -108,11 +108,12 @@ def read_scene(folder: Path, scale: float) -> Scene:
     """
     path = file_inside(folder, TRANSFORMS, folder / TRANSFORMS)
     content = read_description(path, _STRUCTURE)
+    shared = {key: content[key] for key in _CAMERA if key in content}
     held_out = {PurePosixPath(name) for key in _HELD_OUT for name in content.get(key, ())}
     views = []
     for entry in content["frames"]:
         try:
-            views.append(_view(folder, path, {**content, **entry}, held_out, scale))
+            views.append(_view(folder, path, {**shared, **entry}, held_out, scale))
         except ValueError as error:
             raise SourceError(path, f"{error}, of {entry['file_path'][:200]}") from error
     views.sort(key=lambda view: view.name)
