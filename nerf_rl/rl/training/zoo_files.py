@@ -77,7 +77,7 @@ class ZooFiles:
         rows = {name: np.concatenate([held[name][:, :fewest], new[name][None, :fewest]]) for name in both}
         self._results = {"timesteps": steps, **rows}
         with atomic_write(self._evaluations) as aside:
-            np.savez(aside, allow_pickle=False, **self._results)
+            np.savez(aside, **self._results)  # type: ignore[arg-type]  # numbers alone, so that nothing is pickled
 
 
 def _kept_episodes(path: Path, env_steps: int) -> tuple[dict, list[dict[str, str]]]:
