@@ -48,7 +48,7 @@ def main() -> None:
     scene.env.reset(seed=0)
     data = scene.render_data()
     centre = np.array([0.28, 0.0, 0.08])
-    outside = (intrinsics_from_fovy(45.0, OVERVIEW, OVERVIEW), look_at(np.array([0.38, 0.0, 0.21]), 1.75, 100.0, -22.0))
+    outside = (intrinsics_from_fovy(45.0, OVERVIEW, OVERVIEW), look_at(np.array([0.58, 0.0, 0.21]), 1.9, 75.0, -22.0))
     camera = (intrinsics_from_fovy(45.0, CAMERA, CAMERA), look_at(centre, 0.75, 140.0, -35.0))
     renderers = [MultiViewRenderer(scene.model, size, size, 1, quality="full") for size in (OVERVIEW, CAMERA)]
     around, seen = (
