@@ -144,7 +144,7 @@ def test_training_on_an_encoder_of_the_hub_keeps_to_the_commit_it_began_with(
     hub.repositories["tests/encoder"].commit("trial", {**hub.files("tests/encoder", "trial"), "summary.json": b"{}"})
     capsys.readouterr()
     assert cli.main([*keys, "--resume", "true"]) == 2
-    assert "another encoder" in capsys.readouterr().err
+    assert "another --encoder" in capsys.readouterr().err
     assert cli.main([*keys[:1], "--encoder", address, *keys[3:], "--resume", "true"]) == 0
 
 

@@ -70,7 +70,8 @@ class PictureMeasures(nn.Module):
 
     def compute(self) -> PictureFigures | None:
         """Return the figures of all processes, or None if no process has seen a frame; all must call it."""
-        iou, confusion = self.iou.compute(), self.confusion.compute()
+        count = len(self._classes)
+        iou, confusion = self.iou.compute().reshape(count), self.confusion.compute().reshape(count, count)
         means = {"psnr_db": self.psnr, "ssim": self.ssim, "depth_mae_m": self.depth}
         figures = {name: _known(metric.compute()) for name, metric in means.items()}
         pixels = confusion.sum(1)
