@@ -8,7 +8,7 @@ from pathlib import Path
 import markdown
 
 ROOT = Path(__file__).parents[2]
-SHELL = {".", "export", "make", "nerf-rl", "optuna-dashboard", "pip", "srun", "torchrun"}
+SHELL = {".", "export", "make", "nerf-rl", "optuna-dashboard", "pip", "python", "srun", "torchrun"}
 """What a line of a shell's block begins with."""
 
 

@@ -2,8 +2,18 @@
 
 LINES = {
     ". .venv/bin/activate": "the tests run in this environment already",
+    "pip install .[hub]": "needs the internet; that there is such an extra is tested",
     "pip install .[panda]": "needs the internet; that there is such an extra is tested",
     "pip install .[sb3]": "needs the internet; that there is such an extra is tested",
+    "nerf-rl push runs/encoder --to USER/NAME --licence mit": "goes to the Hub; tested on a local server in tests/hub",
+    "nerf-rl push runs/agent --to USER/NAME --controls [runs/agent-blind, runs/agent-random]": "the same",
+    "nerf-rl train-rl --encoder hf://USER/NAME --out runs/agent": "the same, from the Hub",
+    "nerf-rl train-rl --encoder hf://USER/NAME@COMMIT --out runs/agent": "the same",
+    "nerf-rl evaluate --run hf://USER/NAME --out runs/evaluation": "the same",
+    "python -m rl_zoo3.plots.plot_train -a ddpg -e drawer-open -f runs -y success": (
+        "a program of others, which no extra installs; tests/rl/test_zoo_files.py reads the files as it does"
+    ),
+    "python -m rl_zoo3.plots.all_plots -a ddpg -e drawer-open -f runs": "the same",
     "pip install optuna-dashboard": "needs the internet",
     "optuna-dashboard runs/tune/study.journal": "a program of others, which no extra installs",
     "nerf-rl doctor": "takes half a minute, and is run as a whole in tests/doctor/test_doctor.py",

@@ -62,11 +62,17 @@ FIRST = {
         "nerf-rl gen-dataset --config datasets/drawer-open.yaml --out part1 --shard 1/2",
         "nerf-rl gen-dataset --config datasets/drawer-open.yaml --out part2 --shard 2/2",
     ),
-    "av.open(path)": (
-        "nerf-rl gen-dataset --scene metaworld/drawer-open-v3 --out data/episodes --frames_per_episode 101",
-        "nerf-rl export data/episodes --out lerobot --format lerobot",
+    "import captures": (
+        "nerf-rl gen-dataset --config datasets/demo.yaml --out data/captured",
+        "nerf-rl export data/captured --out captures",
     ),
+    "import scenes": ("nerf-rl export data/drawer --out scenes",),
 }
+_LEROBOT = (
+    "nerf-rl gen-dataset --scene metaworld/drawer-open-v3 --out data/episodes --frames_per_episode 101",
+    "nerf-rl export data/episodes --out lerobot --format lerobot",
+)
+FIRST |= {"import lerobot": _LEROBOT, "av.open(path)": _LEROBOT}
 """What a page leaves to its reader to have done before."""
 
 
@@ -99,7 +105,10 @@ class World:
                 monkeypatch.syspath_prepend(str(self.folder / value))
         text = block.text
         for words, commands in FIRST.items():
-            if words in text and not (self.folder / commands[-1].rpartition("--out ")[2].split()[0]).exists():
+            if (
+                words in " ".join(text.split())
+                and not (self.folder / commands[-1].rpartition("--out ")[2].split()[0]).exists()
+            ):
                 for command in commands:
                     self._command(shlex.split(command), monkeypatch)
         for words, smaller in SMALLER.items():
