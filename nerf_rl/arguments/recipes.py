@@ -29,7 +29,11 @@ def check_recipe(path: Path) -> None:
     try:
         if path.stat().st_size > _MOST_BYTES:
             raise ValueError(f"it is larger than {_MOST_BYTES} bytes")
-        _count(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        _count(text)
+        top = yaml.compose(text, yaml.SafeLoader)
+        if isinstance(top, yaml.MappingNode) and any(key.value == "config" for key, _ in top.value):
+            raise ValueError("it has a key 'config', which is for arguments: give each recipe by a --config of its own")
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise MissingFileError("a recipe", path, str(error) or "it cannot be read", _REMEDY) from error
 

@@ -19,6 +19,8 @@ BOMB = "l0: &l0 [x]\n" + "".join(f"l{i}: &l{i} [{', '.join([f'*l{i - 1}'] * 9)}]
         ("classes: &a [*a]", "is not a recipe: 'a' repeats itself"),
         ("size: [", "is not a recipe: while parsing"),
         ("# " + "x" * (1 << 20), "is not a recipe: it is larger than 1048576 bytes"),
+        ("size: 24\nconfig: {size: 32}", "is not a recipe: it has a key 'config', which is for arguments"),
+        ("config: other.yaml", "is not a recipe: it has a key 'config', which is for arguments"),
     ],
 )
 @pytest.mark.parametrize("written", ["--config {}", "--config={}"])
