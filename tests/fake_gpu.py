@@ -36,6 +36,7 @@ class Memory(Replay):
     """What DDPG asks of replay, in the CPU's memory."""
 
     prioritised = True
+    demonstrations = 0
 
     def __init__(self) -> None:
         self.updated: list[torch.device] = []

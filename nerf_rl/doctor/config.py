@@ -13,7 +13,7 @@ class DoctorConfig:
     """where datasets and runs will be written, to look at its free space"""
     json: str = ""
     """write the findings to this .json file as well"""
-    timeout: float = 60.0
+    timeout: float = 300.0
     """seconds after which a probe counts as hanging"""
 
     def __post_init__(self) -> None:
