@@ -89,6 +89,24 @@ def test_little_memory_or_space_is_told_with_a_fix(monkeypatch: pytest.MonkeyPat
     assert doctor.shared_memory(tmp_path / "none").status == "broken"
 
 
+@pytest.mark.parametrize("threads, limit", [(None, ""), ("3", ", OMP_NUM_THREADS=3")])
+def test_the_processors_that_may_be_used_are_told(threads: str | None, limit: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("os.sched_getaffinity", lambda pid: {0, 5, 6})
+    monkeypatch.setattr("os.cpu_count", lambda: 8)
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    if threads is not None:
+        monkeypatch.setenv("OMP_NUM_THREADS", threads)
+    assert doctor.machine().detail == f"3 of 8 may be used{limit}; use --workers 3"
+
+
+@pytest.mark.parametrize("gpu", [True, False])
+def test_a_gpu_is_told_by_name_and_its_absence_with_the_threads(gpu: bool, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: gpu)
+    monkeypatch.setattr("torch.cuda.get_device_name", lambda index: f"Card {index}")
+    device = doctor_probes.torch()["device"]
+    assert device == "Card 0" if gpu else device.startswith("no GPU, ")
+
+
 def test_a_probe_of_rendering_fails_on_a_wrong_picture(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(doctor_probes, "_SCENE", doctor_probes._SCENE.replace("0.9 0.1 0.1", "0.1 0.9 0.1"))
     with pytest.raises(RuntimeError, match="a red ball has the colour"):
