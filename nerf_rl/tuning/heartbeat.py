@@ -6,19 +6,19 @@ by the clock of whoever looks, so clocks need not agree.
 """
 
 import contextlib
-import multiprocessing
 import os
 import socket
 import threading
 import time
 from collections.abc import Iterator
-from multiprocessing.connection import wait as wait_for
 from pathlib import Path
 from typing import Any
 
 from optuna import Study
 from optuna.storages import BaseStorage
 from optuna.trial import FrozenTrial, TrialState
+
+from nerf_rl.tuning.trial_notes import AnyTrial, write_note
 
 HEARTBEAT = "heartbeat"
 LOST = "lost"
@@ -39,26 +39,26 @@ class Heart:
         self._beats, self._last = 0, -_INTERVAL
         self._trial = -1
 
-    def beat(self, trial_id: int) -> None:
+    def beat(self, trial: AnyTrial) -> None:
         """Write a beat beside a running trial, unless the last one was just now."""
-        if trial_id == self._trial and time.monotonic() - self._last < _INTERVAL:
+        if trial.number == self._trial and time.monotonic() - self._last < _INTERVAL:
             return
-        self._trial, self._last, self._beats = trial_id, time.monotonic(), self._beats + 1
+        self._trial, self._last, self._beats = trial.number, time.monotonic(), self._beats + 1
         pid = os.getpid()
         who = {"host": socket.gethostname(), "machine": _machine(), "pid": pid, "born": _born(pid), "beat": self._beats}
-        self._storage.set_trial_user_attr(trial_id, HEARTBEAT, who)
+        write_note(self._storage, trial, HEARTBEAT, who)
 
     @contextlib.contextmanager
-    def beating(self, trial_id: int) -> Iterator[None]:
+    def beating(self, trial: AnyTrial) -> Iterator[None]:
         """Beat on while a trial runs; a trial that others have given up is beaten for no more."""
         stop = threading.Event()
 
         def go_on() -> None:
             with contextlib.suppress(Exception):  # given up, or a storage out of reach: others will tell
                 while not stop.wait(_INTERVAL):
-                    self.beat(trial_id)
+                    self.beat(trial)
 
-        self.beat(trial_id)
+        self.beat(trial)
         thread = threading.Thread(target=go_on, daemon=True)
         thread.start()
         try:
@@ -86,7 +86,7 @@ class LostTrials:
             reason = self._reason(trial)
             if reason:
                 with contextlib.suppress(Exception):  # someone else was faster
-                    self._storage.set_trial_user_attr(trial._trial_id, LOST, reason)
+                    write_note(self._storage, trial, LOST, reason)
                     study.tell(trial.number, state=TrialState.FAIL, skip_if_finished=True)
                     lost.append(trial.number)
         return lost
@@ -117,19 +117,6 @@ class LostTrials:
         if not who:
             return "its worker was gone before it began" if silent > _START_PATIENCE else ""
         return f"nothing heard from {who['host']} for {silent:.0f} s" if silent > _REMOTE_PATIENCE else ""
-
-
-def end_with_parent() -> None:
-    """End this process when the one that spawned it dies."""
-    parent = multiprocessing.parent_process()
-    if parent is None:
-        return
-
-    def watch() -> None:
-        wait_for([parent.sentinel])
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 def _machine() -> str:

@@ -24,6 +24,7 @@ from optuna.trial import FrozenTrial, TrialState
 
 from nerf_rl.errors import UnknownNameError
 from nerf_rl.tuning.space import decode, encode, width
+from nerf_rl.tuning.trial_notes import write_system_note
 from nerf_rl.tuning.whale import MODES, next_positions
 
 SLOT = "whale:slot"
@@ -81,7 +82,7 @@ class WhaleSampler(BaseSampler):
             slot = self.free_slot(trials)
             served = not any(self._is_before(other, trial) for other in trials)
             if served and (self._wait is None or self._is_finished(trials, slot[0] - 1)):
-                study._storage.set_trial_system_attr(trial._trial_id, SLOT, list(slot))
+                write_system_note(study, trial, SLOT, list(slot))
                 return
             if self._wait is not None:
                 self._wait(study, trial)
@@ -105,7 +106,7 @@ class WhaleSampler(BaseSampler):
         position = self._proposed_before(trials, slot, search_space)
         if position is None:
             position = _split(self._propose(trials, slot, search_space, study.direction), search_space)
-        study._storage.set_trial_system_attr(trial._trial_id, POSITION, position)
+        write_system_note(study, trial, POSITION, position)
         return {name: decode(distribution, position[name]) for name, distribution in search_space.items()}
 
     def sample_independent(
@@ -117,7 +118,7 @@ class WhaleSampler(BaseSampler):
         assert slot is not None
         coordinates = self._random(slot, param_name, param_distribution)
         position = {**stored.system_attrs.get(POSITION, {}), param_name: coordinates}
-        study._storage.set_trial_system_attr(trial._trial_id, POSITION, position)
+        write_system_note(study, trial, POSITION, position)
         return decode(param_distribution, coordinates)
 
     def free_slot(self, trials: list[FrozenTrial]) -> Slot:

@@ -14,9 +14,11 @@ import optuna
 from optuna.exceptions import UpdateFinishedTrialError
 from optuna.trial import FrozenTrial, Trial, TrialState
 
-from nerf_rl.tuning.heartbeat import Heart, LostTrials, end_with_parent
+from nerf_rl.machine.processes import end_with_parent
+from nerf_rl.tuning.heartbeat import Heart, LostTrials
 from nerf_rl.tuning.search import Search
 from nerf_rl.tuning.storage import open_storage
+from nerf_rl.tuning.trial_notes import write_note
 
 ERROR = "error"
 FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
@@ -63,7 +65,7 @@ def work(task: Task, number: int) -> None:
     pause = _DATABASE_PAUSE if "://" in task.storage else _PAUSE
 
     def wait(study: optuna.Study, trial: FrozenTrial) -> None:
-        heart.beat(trial._trial_id)
+        heart.beat(trial)
         lost.fail(study)
         time.sleep(pause)
 
@@ -88,7 +90,7 @@ def _run_trial(study: optuna.Study, task: Task, heart: Heart, storage: optuna.st
         study.tell(trial, state=TrialState.FAIL)  # another worker drew the last one at the same time
         return
     try:
-        with heart.beating(trial._trial_id):
+        with heart.beating(trial):
             value = task.objective(trial)
     except UpdateFinishedTrialError:
         return  # the others took this worker for dead and drew the trial again
@@ -97,7 +99,7 @@ def _run_trial(study: optuna.Study, task: Task, heart: Heart, storage: optuna.st
     except Exception as error:
         traceback.print_exc()
         reason = " ".join(f"{type(error).__name__}: {error}".split())
-        storage.set_trial_user_attr(trial._trial_id, ERROR, reason)
+        write_note(storage, trial, ERROR, reason)
         study.tell(trial, state=TrialState.FAIL, skip_if_finished=True)
     else:
         # a run that diverged is worth nothing; like a pruned one it keeps its slot and is not followed

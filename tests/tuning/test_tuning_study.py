@@ -200,7 +200,7 @@ def test_trials_of_silent_workers_elsewhere_are_failed_after_a_while(
     silent, beating, never_began, ours = (study.ask() for _ in range(4))
     for trial in (silent, beating):
         trial.set_user_attr(HEARTBEAT, elsewhere)
-    Heart(storage).beat(ours._trial_id)
+    Heart(storage).beat(ours)
     lost = LostTrials(storage)
     assert lost.fail(study) == []
     now = 30.0
@@ -221,7 +221,7 @@ def test_a_study_that_ends_leaves_no_trial_that_never_had_a_first_beat(
     storage = open_storage("", tmp_path)
     study = optuna.create_study(storage=storage)
     study.ask()
-    Heart(storage).beat(study.ask()._trial_id)
+    Heart(storage).beat(study.ask())
     LostTrials(storage).settle(study)
     assert [trial.state.name for trial in study.get_trials()] == ["FAIL", "RUNNING"]
 
@@ -230,7 +230,7 @@ def test_a_pid_that_another_process_has_taken_over_is_not_the_worker(tmp_path: P
     storage = open_storage("", tmp_path)
     study = optuna.create_study(storage=storage)
     trial = study.ask()
-    Heart(storage).beat(trial._trial_id)
+    Heart(storage).beat(trial)
     who = study.get_trials()[0].user_attrs[HEARTBEAT]
     trial.set_user_attr(HEARTBEAT, {**who, "born": "17"})
     assert LostTrials(storage).fail(study) == [0]
