@@ -72,8 +72,9 @@ def measure(scene: Scene, size: int, rounds: int, seed: int) -> dict:
     rig = make_rig(RigConfig(), size, scene)
     model, data = scene.model, scene.data
     scene.env.reset(seed=seed)
-    detail, intrinsics, poses = rig.detail(data), rig.intrinsics, rig.poses(data, np.random.default_rng(seed))
-    fast, plain = (MultiViewRenderer(model, size, size, len(poses), quality, detail) for quality in ("fast", "plain"))
+    intrinsics, poses = rig.intrinsics, rig.poses(data, np.random.default_rng(seed))
+    sizes, sharpness = (size, size, len(poses)), rig.pixels_per_metre(data)
+    fast, plain = (MultiViewRenderer(model, *sizes, quality, sharpness) for quality in ("fast", "plain"))
     stock = StockRenderer(model, size, poses)
     ways: dict[str, Callable[[], object]] = {
         "stock": lambda: stock.render(data),

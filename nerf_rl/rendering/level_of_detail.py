@@ -25,13 +25,13 @@ _AGGRESSIVENESS = 2.0  # of fast_simplification; its default of 7 is faster and 
 _CREASE_COSINE = np.cos(np.deg2rad(40.0))
 
 
-def simplify_meshes(model: mujoco.MjModel, height: int, detail: float) -> mujoco.MjModel:
+def simplify_meshes(model: mujoco.MjModel, height: int, pixels_per_metre: float) -> mujoco.MjModel:
     """Return a copy of the model with meshes simplified for images of the given height [pixels].
 
     Args:
         model: compiled.
         height: of an image [pixels].
-        detail: pixels that a metre takes in an image where a camera is nearest to what it shows.
+        pixels_per_metre: of an image, where a camera is nearest to what it shows.
 
     Textured meshes are kept, since simplification would tear their texture coordinates. Planes are divided less, and so
     are cylinders where nothing is spherical: MuJoCo cuts each into a thousand triangles and more, whatever its size.
@@ -51,7 +51,7 @@ def simplify_meshes(model: mujoco.MjModel, height: int, detail: float) -> mujoco
             continue
         vertices = model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]]
         radius = np.linalg.norm(vertices - vertices.mean(0), axis=1).max()
-        covered = np.pi * (detail * radius) ** 2
+        covered = np.pi * (pixels_per_metre * radius) ** 2
         target = int(max(_FEWEST_TRIANGLES_PER_ROW * height, _TRIANGLES_PER_PIXEL * covered))
         if target < model.mesh_facenum[mesh]:
             _replace_mesh(simplified, model, mesh, target)

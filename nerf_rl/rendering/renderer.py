@@ -21,7 +21,7 @@ from nerf_rl.rendering.offscreen_target import OffscreenTarget
 
 _HIDDEN_GROUP = 5  # of geoms; not drawn by default
 _FULL_SHADOW_MAP = 4096
-_USUAL_DETAIL = 1.0 / (2.0 * np.tan(np.deg2rad(22.5)) * 0.7)  # [1/m], times the image's height
+_USUAL_PIXELS_PER_METRE = 1.0 / (2.0 * np.tan(np.deg2rad(22.5)) * 0.7)  # [1/m], times the image's height
 _FULL_SAMPLES = 4
 
 
@@ -44,7 +44,7 @@ class MultiViewRenderer:
         views: the most cameras a call may have.
         quality: ``full`` (shadows, reflections, multisampling), ``plain`` (none of these) or ``fast`` (as ``plain``,
             with meshes simplified for the images).
-        detail: pixels that a metre takes where a camera is nearest to what it shows, which decides how far meshes are
+        pixels_per_metre: in an image, where a camera is nearest to what it shows; decides how far meshes are
             simplified; none: as for a camera with a field of view of 45 degrees, 0.7 m away.
 
     Raises:
@@ -58,11 +58,12 @@ class MultiViewRenderer:
         width: int,
         views: int,
         quality: str = "fast",
-        detail: float | None = None,
+        pixels_per_metre: float | None = None,
     ):
         self._model, self._height, self._width, self._views = model, height, width, views
-        self.detail = height * _USUAL_DETAIL if detail is None else detail
-        drawn = simplify_meshes(model, height, self.detail) if quality == "fast" else copy.deepcopy(model)
+        usual = height * _USUAL_PIXELS_PER_METRE
+        self.pixels_per_metre = usual if pixels_per_metre is None else pixels_per_metre
+        drawn = simplify_meshes(model, height, self.pixels_per_metre) if quality == "fast" else copy.deepcopy(model)
         self._plain = OffscreenTarget(drawn, height, width, views, shadow_map=0, samples=0)
         self._fine = (
             OffscreenTarget(drawn, height, width, views, _FULL_SHADOW_MAP, _FULL_SAMPLES) if quality == "full" else None

@@ -63,7 +63,7 @@ class Rig:
         """Return where the tracking frame's origin is in a state with propagated positions [m]; 0 without one."""
         return np.zeros(3) if self._following is None else self._following.origin(data)
 
-    def detail(self, data: mujoco.MjData) -> float:
+    def pixels_per_metre(self, data: mujoco.MjData) -> float:
         """Return how many pixels a metre takes in an image where a camera is nearest to what it is there to show.
 
         For a camera on a body that is the body, for all others the middle of the workspace.

@@ -32,10 +32,10 @@ def test_the_encoder_sees_after_each_step_what_a_dataset_records(name: str, clos
     assert (rig.tracking_frame is not None) == name.startswith("gym/")
     encoder_rig = EncoderRig(rig.names, intrinsics, poses, SIZE, SIZE, rig.tracking_frame)
     encoder = Encoder(EncoderConfig(latent=4, patch=8, channels=[8], hidden=8), encoder_rig)
-    encoder.detail = rig.detail(scene.render_data())
+    encoder.pixels_per_metre = rig.pixels_per_metre(scene.render_data())
     env = LatentObservation(scene.env, encoder.eval())
     env.reset(seed=1)
-    recorder = MultiViewRenderer(scene.model, SIZE, SIZE, len(rig.names), "fast", encoder.detail)
+    recorder = MultiViewRenderer(scene.model, SIZE, SIZE, len(rig.names), "fast", encoder.pixels_per_metre)
     propagated = mujoco.MjData(scene.model)
     rng = np.random.default_rng(2)
     lagging = 0

@@ -30,7 +30,7 @@ def describe(config: GenDatasetConfig, context: RenderContext, plan: Plan) -> di
         "height": config.size,
         "width": config.size,
         "far": context.renderer.far,
-        "detail": context.renderer.detail,
+        "detail": context.renderer.pixels_per_metre,
         "cameras": [{"name": name, "role": role} for name, role in zip(rig.names, rig.roles, strict=True)],
         "classes": [
             {"name": name, "colour": colour.tolist()} for name, colour in zip(names, palette(len(names)), strict=True)

@@ -44,8 +44,8 @@ def open_render_context(config: GenDatasetConfig) -> RenderContext:
     model = scene.model
     behaviour = Behaviour(scene, config.behaviour, config.episode_steps)
     classes = semantic_classes(model, scene.parts, config.classes)
-    detail = rig.detail(scene.render_data())
-    renderer = MultiViewRenderer(model, config.size, config.size, len(rig.names), config.quality, detail)
+    pixels_per_metre = rig.pixels_per_metre(scene.render_data())
+    renderer = MultiViewRenderer(model, config.size, config.size, len(rig.names), config.quality, pixels_per_metre)
     columns = {
         "proprio": len(scene.proprio_names),
         "privileged": len(scene.privileged_names),

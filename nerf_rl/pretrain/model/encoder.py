@@ -38,7 +38,7 @@ class Encoder(nn.Module):
         rig: the cameras that it is trained on.
 
     Attributes:
-        scene, quality, detail: what is rendered for it, and how.
+        scene, quality, pixels_per_metre: what is rendered for it, and how.
         renderer: the OpenGL implementation that made its dataset, as that says; empty if it is not known.
         simulators: versions of the packages that decide what its dataset's pictures show, by name.
     """
@@ -50,7 +50,7 @@ class Encoder(nn.Module):
         super().__init__()
         self.config, self.rig = config, rig
         self.scene, self.quality = "", "fast"
-        self.detail: float | None = None
+        self.pixels_per_metre: float | None = None
         self.renderer = ""
         self.simulators: dict[str, str] = {}
         patch, widths = config.patch, config.channels
@@ -104,7 +104,7 @@ class Encoder(nn.Module):
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             copy = Encoder(self.config, self.rig).to(self.latent_mean.device)
-        for name in ("scene", "quality", "detail", "renderer", "simulators"):
+        for name in ("scene", "quality", "pixels_per_metre", "renderer", "simulators"):
             setattr(copy, name, getattr(self, name))
         return copy.eval().requires_grad_(False)
 
@@ -114,7 +114,7 @@ class Encoder(nn.Module):
             "format": FORMAT,
             "architecture": asdict(self.config),
             "rig": self.rig.to_json(),
-            "scene": {"name": self.scene, "quality": self.quality, "detail": self.detail},
+            "scene": {"name": self.scene, "quality": self.quality, "detail": self.pixels_per_metre},
             "renderer": self.renderer,
             "packages": {**package_versions(), **self.simulators},
         }
@@ -129,7 +129,8 @@ class Encoder(nn.Module):
         """Return an untrained encoder that is otherwise the one described."""
         encoder = cls(EncoderConfig(**description["architecture"]), EncoderRig.from_json(description["rig"]))
         scene, packages = description["scene"], description.get("packages", {})
-        encoder.scene, encoder.quality, encoder.detail = scene["name"], scene["quality"], scene.get("detail")
+        encoder.scene, encoder.quality = scene["name"], scene["quality"]
+        encoder.pixels_per_metre = scene.get("detail")
         encoder.renderer = description.get("renderer", "")
         encoder.simulators = {name: packages[name] for name in SIMULATORS if name in packages}
         return encoder

@@ -42,7 +42,7 @@ class EncoderModule(lightning.LightningModule):
         self.encoder = Encoder(config.encoder, rig)
         self.encoder.scene = dataset.manifest["scene"]["name"]
         self.encoder.quality = dataset.manifest["config"].get("quality", IMPORTED_QUALITY)
-        self.encoder.detail = dataset.manifest.get("detail")
+        self.encoder.pixels_per_metre = dataset.manifest.get("detail")
         self.encoder.renderer = dataset.manifest.get("renderer", "")
         packages = dataset.manifest.get("packages", {})
         self.encoder.simulators = {name: packages[name] for name in SIMULATORS if name in packages}
