@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 import torch
 
 from nerf_rl.cameras import geometry as cameras
-from nerf_rl.errors import MissingFileError
+from nerf_rl.errors import MissingFileError, UserError
 from nerf_rl.pretrain.config import EncoderConfig
 from nerf_rl.pretrain.model.encoder import Encoder
 from nerf_rl.pretrain.model.encoder_file import DESCRIPTION, WEIGHTS
@@ -155,3 +157,28 @@ def test_an_exported_encoder_is_all_that_is_needed(tiny_encoder: Path, tmp_path:
     assert encoder.rig.names == ("left", "right") and encoder.rig.height == encoder.rig.width == 24
     assert encoder.scene == "metaworld/drawer-open-v3" and encoder.latent_size == 8
     assert float(encoder.latent_std.min()) > 0 and float(encoder.latent_mean.abs().max()) > 0
+
+
+@pytest.mark.parametrize(("size", "patch", "channels"), [(16, 4, [8]), (17, 3, [4, 8, 8]), (30, 5, [4, 4, 4, 4])])
+@torch.no_grad()
+def test_images_of_any_size_are_encoded(size: int, patch: int, channels: list[int]):
+    rig = make_rig(size=size)
+    encoder = Encoder(EncoderConfig(latent=6, patch=patch, channels=channels, hidden=16), rig)
+    images = torch.zeros(2, 3, size, size, 3, dtype=torch.uint8)
+    assert encoder.encode(images).shape == (2, 6)
+
+
+def test_images_smaller_than_a_patch_are_refused_in_a_sentence():
+    with pytest.raises(UserError, match=r"--encoder\.patch 32 is larger than images of 16 pixels"):
+        Encoder(EncoderConfig(patch=32), make_rig())
+
+
+def test_artefacts_are_loaded_without_the_compiler_of_pytorch(tiny_encoder: Path, tiny_agent: Path):
+    """Every process that acts loads some: importing the compiler takes seconds and a hundred megabytes each time."""
+    program = (
+        "import sys, pathlib; from nerf_rl.pretrain.model.encoder import Encoder;"
+        "from nerf_rl.pretrain.model.field import RadianceField; from nerf_rl.rl.agents.policy import Policy;"
+        "folder = pathlib.Path(sys.argv[1]); Encoder.load(folder); RadianceField.load(folder);"
+        "Policy.load(pathlib.Path(sys.argv[2])); sys.exit('torch._dynamo' in sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", program, str(tiny_encoder), str(tiny_agent)], check=True)

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
-from nerf_rl.errors import MissingFileError
+from nerf_rl.errors import MissingFileError, UserError
 from nerf_rl.files.json_files import write_json
 from nerf_rl.files.tensor_files import filled, read_tensors, write_tensors
 from nerf_rl.files.versions import package_versions
@@ -58,9 +58,7 @@ class Encoder(nn.Module):
         for before, after in pairwise(widths):
             blocks += [nn.Conv2d(before, after, 3, stride=2, padding=1), _ChannelNorm(after), nn.ReLU()]
         self.convolutions = nn.Sequential(*blocks)
-        with torch.no_grad():
-            flat = self.convolutions(torch.zeros(1, 3, rig.height, rig.width)).numel()
-        width = config.hidden
+        flat, width = widths[-1] * _cells(rig.height, config) * _cells(rig.width, config), config.hidden
         self.per_view = nn.Sequential(*_hidden(flat + 12, width), *_hidden(width, width))
         self.merged = nn.Sequential(*_hidden(width, width), nn.Linear(width, config.latent))
         self.register_buffer("latent_mean", torch.zeros(config.latent))
@@ -154,6 +152,18 @@ class Encoder(nn.Module):
         if not bool((encoder.latent_std > 0).all()):
             raise MissingFileError("an encoder", file, "a deviation of its latents is not positive", "train it again")
         return encoder.eval().requires_grad_(False)
+
+
+def _cells(pixels: int, config: EncoderConfig) -> int:
+    """Return how many places are left along a side of an image after the convolutions.
+
+    Raises:
+        UserError: the image is smaller than a patch.
+    """
+    if pixels < config.patch:
+        raise UserError(f"--encoder.patch {config.patch} is larger than images of {pixels} pixels")
+    halved = len(config.channels) - 1
+    return -(-(pixels // config.patch) // 2**halved)  # each rounds up, which is the same as once in the end
 
 
 def _hidden(before: int, after: int) -> list[nn.Module]:

@@ -1,5 +1,6 @@
 """The latent-conditioned radiance field."""
 
+import math
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -90,7 +91,7 @@ class RadianceField(nn.Module):
         self.config, self.bounds = config, bounds
         self.sizes = {"latent": latent, "classes": classes, "teacher_features": teacher_features, "anchors": anchors}
         self.frames = anchors + config.free_frames
-        self.planes = nn.Parameter(0.1 * torch.randn(3, config.plane_features, config.plane_size, config.plane_size))
+        self.planes = nn.Parameter(_noise(3, config.plane_features, config.plane_size, config.plane_size))
         self.frame_origins = nn.Linear(latent, 3 * self.frames) if self.frames else None
         encoded = (1 + self.frames) * (3 + 6 * config.frequencies) + 3 * config.plane_features
         widths = [encoded] + [config.width] * config.layers
@@ -103,7 +104,9 @@ class RadianceField(nn.Module):
         self.rgb_head = nn.Linear(config.width, 3)
         self.semantic_head = nn.Linear(config.width, classes)
         self.feature_head = nn.Linear(config.width, teacher_features) if teacher_features else None
-        self.register_buffer("octaves", torch.pi * 2.0 ** torch.arange(config.frequencies), persistent=False)
+        self.register_buffer(
+            "octaves", torch.tensor([math.pi * 2.0**k for k in range(config.frequencies)]), persistent=False
+        )
         # in moving frames; stored, since what was learnt goes with them
         self.register_buffer("octave_weights", torch.ones(config.frequencies))
         self.register_buffer("centre", torch.tensor(bounds.centre), persistent=False)
@@ -234,6 +237,12 @@ class RadianceField(nn.Module):
             return cls(FieldConfig(**described["config"]), bounds, **sizes)
 
         return filled(make, read_tensors(folder / WEIGHTS), folder / WEIGHTS).eval()
+
+
+def _noise(*shape: int) -> Tensor:
+    """Return normal noise of deviation 0.1; none on the meta device, where PyTorch would import its compiler for it."""
+    noise = torch.empty(*shape)
+    return noise if noise.is_meta else noise.normal_().mul_(0.1)
 
 
 def contract(x: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3"]:
