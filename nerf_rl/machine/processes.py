@@ -1,13 +1,16 @@
 """Child processes: who of them hears Ctrl-C, and that none outlives the process that started it."""
 
 import contextlib
+import multiprocessing
 import os
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from nerf_rl.machine.gl import use_one_software_thread
+
+FORK_SERVER = "forkserver"
 
 
 @contextlib.contextmanager
@@ -25,6 +28,23 @@ def ignore_sigint() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def start_method(modules: Sequence[str]) -> str:
+    """Return how to start worker processes that need ``modules``: as forks of a server that has imported them.
+
+    The server is a fresh process without threads, OpenGL and CUDA, so that its forks are as clean as spawned processes
+    are; but imports are paid for once and their memory is shared. Whoever asks first decides what the server imports; a
+    fork imports what else it needs. Forks have the environment variables that this process had when it first asked for
+    one.
+
+    Args:
+        modules: by their full names; their imports must start nothing.
+    """
+    if FORK_SERVER not in multiprocessing.get_all_start_methods():  # Windows
+        return "spawn"
+    multiprocessing.set_forkserver_preload(list(modules))
+    return FORK_SERVER
 
 
 def start_worker() -> None:

@@ -1,6 +1,8 @@
 """Environments: action repeat, time limits, resets, evaluation. Also the tiny environment of other tests."""
 
 import functools
+import multiprocessing
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -9,7 +11,8 @@ import pytest
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 
 from nerf_rl.errors import UserError
-from nerf_rl.rl.environments.make import EnvSpec, make_env, reset_some
+from nerf_rl.machine.processes import start_method
+from nerf_rl.rl.environments.make import EnvSpec, make_env, make_vector_env, reset_some
 from nerf_rl.rl.environments.wrappers import ActionRepeat
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes, training_seed
 
@@ -49,11 +52,29 @@ def point_env(steps: int = 10, repeat: int = 1, fall: bool = False) -> gymnasium
 def point_envs(count: int, **keys: Any) -> AsyncVectorEnv:
     """The tiny environment in worker processes, as :func:`nerf_rl.rl.environments.make.make_vector_env` sets it up."""
     make = functools.partial(point_env, **keys)
-    return AsyncVectorEnv([make] * count, context="spawn", autoreset_mode=AutoresetMode.DISABLED)
+    return AsyncVectorEnv([make] * count, context=start_method([]), autoreset_mode=AutoresetMode.DISABLED)
 
 
 def to_zero(observation: np.ndarray) -> np.ndarray:
     return np.clip(-2.0 * observation[:, :1], -1.0, 1.0).astype(np.float32)
+
+
+@pytest.mark.parametrize("methods", [["fork", "spawn", "forkserver"], ["spawn"]])  # of Linux, and of Windows
+def test_worker_processes_see_what_this_one_sees_however_they_are_started(
+    methods: list[str], tiny_encoder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(multiprocessing, "get_all_start_methods", lambda: methods)
+    assert start_method([]) == methods[-1]
+    spec = EnvSpec("metaworld/drawer-open-v3", str(tiny_encoder), 2, 20)
+    envs, (env, _) = make_vector_env(spec, 2), make_env(spec)
+    try:
+        action = np.full(envs.single_action_space.shape or (), 0.5, np.float32)
+        seen = [reset_some(envs, np.array([True, True]), [3, 3]), envs.step(np.stack([action, action]))[0]]
+        for workers, own in zip(seen, (env.reset(seed=3)[0], env.step(action)[0]), strict=True):
+            np.testing.assert_allclose(workers, np.stack([own, own]), rtol=1e-4, atol=1e-5)
+    finally:
+        envs.close(terminate=True)
+        env.close()
 
 
 def test_action_repeat_sums_rewards_and_counts_steps() -> None:

@@ -1,6 +1,5 @@
 """Training of a Stable-Baselines3 model, evaluated and recorded as our own agents are."""
 
-import functools
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +17,7 @@ from nerf_rl.machine.devices import resolve_device
 from nerf_rl.progress import Progress
 from nerf_rl.rl.baselines.models import CLIPPED_AT, export_actor, make_model
 from nerf_rl.rl.config import TrainRLConfig
-from nerf_rl.rl.environments.make import EnvSpec, make_worker_env
+from nerf_rl.rl.environments.make import EnvSpec, env_maker, worker_start_method
 from nerf_rl.rl.training.curves import MetricsLog
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes
 from nerf_rl.rl.training.zoo_files import ZooFiles
@@ -144,9 +143,8 @@ class BaselineTrainer(BaseCallback):
 
 def _make_envs(config: TrainRLConfig, spec: EnvSpec) -> VecEnv:
     """Return seeded training environments: in this process if there is one, else each in its own."""
-    worker = functools.partial(make_worker_env, spec, str(resolve_device(config.device)))
-    makers: list[Callable[[], gymnasium.Env]] = [worker] * config.envs
-    envs: VecEnv = DummyVecEnv(makers) if config.envs == 1 else SubprocVecEnv(makers, start_method="spawn")
+    makers = [env_maker(spec, str(resolve_device(config.device)))] * config.envs
+    envs: VecEnv = DummyVecEnv(makers) if config.envs == 1 else SubprocVecEnv(makers, worker_start_method(spec))
     envs.seed(config.seed)
     if config.algo == "ppo" and config.ppo.normalise:
         return VecNormalize(envs, gamma=config.ppo.gamma, clip_obs=CLIPPED_AT)

@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import multiprocessing
 import signal
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,7 +14,9 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 from numpy import ndarray
 
 from nerf_rl.errors import UserError
+from nerf_rl.hub.fetch import resolve
 from nerf_rl.machine.gl import use_one_software_thread
+from nerf_rl.machine.processes import start_method
 from nerf_rl.rl.config import BLIND, NO_CONTROL, RANDOM, PandaReachConfig
 from nerf_rl.rl.environments.encoder_match import compare_scenes
 from nerf_rl.rl.environments.goals import GoalTask, goal_layout, has_goal
@@ -121,13 +124,30 @@ def check_scene(spec: EnvSpec, demonstrations: bool = False) -> tuple[str, ...]:
 
 
 def make_vector_env(spec: EnvSpec, count: int, device: str = "cpu") -> AsyncVectorEnv:
-    """Return ``count`` environments, each in a spawned process with one thread and its encoder on ``device``.
+    """Return ``count`` environments, each in a process with one thread and its encoder on ``device``.
 
     They never reset themselves (Gymnasium's ``AutoresetMode.DISABLED``): a step always returns the true observation
     after it, also the last of an episode, and the caller starts episodes with :func:`reset_some`, seed by seed.
     """
-    worker = functools.partial(make_worker_env, spec, device)
-    return AsyncVectorEnv([worker] * count, context="spawn", autoreset_mode=AutoresetMode.DISABLED)
+    return AsyncVectorEnv(
+        [env_maker(spec, device)] * count, context=worker_start_method(spec), autoreset_mode=AutoresetMode.DISABLED
+    )
+
+
+def env_maker(spec: EnvSpec, device: str = "cpu") -> Callable[[], gymnasium.Env]:
+    """Return what builds an agent's environment in a process of its own, and can be sent there.
+
+    An encoder of the Hub is fetched here, once for all processes: those need no network, and no settings for it.
+    """
+    encoder = None if spec.encoder is None else str(resolve(spec.encoder))
+    return functools.partial(_make_worker_env, dataclasses.replace(spec, encoder=encoder), device)
+
+
+def worker_start_method(spec: EnvSpec) -> str:
+    """Return how to start the processes of environments, see :func:`nerf_rl.machine.processes.start_method`."""
+    simulator = ["metaworld"] if spec.scene.startswith(METAWORLD) else []
+    eyes = [] if spec.encoder is None else ["nerf_rl.rl.environments.observation", "nerf_rl.rl.environments.controls"]
+    return start_method([__name__, *simulator, *eyes])
 
 
 def reset_some(envs: gymnasium.vector.VectorEnv, which: ndarray, seeds: list[int]) -> ndarray:
@@ -173,7 +193,7 @@ def _make_scene(spec: EnvSpec) -> Scene:
     return scene
 
 
-def make_worker_env(spec: EnvSpec, device: str = "cpu") -> gymnasium.Env:
+def _make_worker_env(spec: EnvSpec, device: str = "cpu") -> gymnasium.Env:
     """Return an agent's environment in a worker process of its own, which leaves Ctrl-C to its parent."""
     if multiprocessing.parent_process() is not None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the learner's to handle; it closes the workers
