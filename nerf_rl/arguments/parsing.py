@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import functools
 import itertools
 import re
 import typing
@@ -41,9 +42,7 @@ def parse_config(config: type, program: str, description: str, arguments: Sequen
         UserError: an unknown key or recipe, a wrong value, or a contradiction that the dataclass rejects.
         SystemExit: after ``--help`` and ``--print_config``.
     """
-    parser = ArgumentParser(prog=program, description=description, exit_on_error=False)
-    parser.add_argument("--config", action=ActionConfigFile, help="recipe (YAML); --key value overrides it")
-    parser.add_class_arguments(config)
+    parser = _parser(config, program, description)
     arguments = [re.sub(r"^--[^=]+", lambda key: "--" + key[0][2:].replace("-", "_"), word) for word in arguments]
     arguments = list(_name_positional(arguments, positional)) if positional else arguments
     for recipe in _recipes(arguments):
@@ -64,8 +63,7 @@ def config_of(config: type, content: Mapping[str, Any]) -> Any:
     Raises:
         UserError: a key that there is not, or a wrong value.
     """
-    parser = ArgumentParser(exit_on_error=False)
-    parser.add_class_arguments(config)
+    parser = _parser(config)
     try:
         namespace = parser.instantiate(parser.parse_object(copy.deepcopy(dict(content))))
         made = config(**{field.name: namespace[field.name] for field in dataclasses.fields(config)})
@@ -73,6 +71,16 @@ def config_of(config: type, content: Mapping[str, Any]) -> Any:
         raise _explain(str(error), config) from error
     require_finite(made)
     return made
+
+
+@functools.cache  # reading a dataclass's types and docstrings takes longer than parsing
+def _parser(config: type, program: str = "", description: str = "") -> ArgumentParser:
+    """Return the parser of a dataclass's keys; with a program, of recipes as well."""
+    parser = ArgumentParser(prog=program or None, description=description, exit_on_error=False)
+    if program:
+        parser.add_argument("--config", action=ActionConfigFile, help="recipe (YAML); --key value overrides it")
+    parser.add_class_arguments(config)
+    return parser
 
 
 def _recipes(arguments: Sequence[str]) -> Iterator[str]:
@@ -106,6 +114,9 @@ def _explain(message: str, config: type) -> UserError:
         if RENAMED.get(name) in known:
             return UserError(f"key '{name}' is now '{RENAMED[name]}'")
         return UnknownNameError("key", name, known)
+    words = re.search(r'Parser key "([\w.]+)": Expected a typing\.Literal\[([^\]]*)\]\. Got value: (.*)', message)
+    if words:
+        return UnknownNameError(words[1], words[3], re.findall(r"'([^']*)'", words[2]))
     missing = re.search(r"the following arguments are required: (.+)", message)
     if missing:
         return UserError(f"missing --{missing.group(1).replace(', ', ', --')}")

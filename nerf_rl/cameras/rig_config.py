@@ -6,10 +6,10 @@ the workspace goes with it, and so do cameras that look at its middle, unless ``
 """
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
-from nerf_rl.cameras.tracking_frame import AXES
-from nerf_rl.errors import UnknownNameError, UserError
+from nerf_rl.arguments.limits import check_values
+from nerf_rl.errors import UserError
 
 MOST_CAMERAS = 256
 AUTO, NOTHING = "auto", "none"
@@ -200,12 +200,11 @@ class RigConfig:
     follow: str = AUTO
     """body that cameras without a place of their own follow without turning: auto (the root of a robot that can travel,
     else nothing), none, or the name of a body"""
-    follow_axes: str = AXES[0]
+    follow_axes: Literal["xy", "xyz"] = "xy"
     """along which axes cameras follow a body: xy (horizontally) or xyz"""
 
     def __post_init__(self) -> None:
-        if self.follow_axes not in AXES:
-            raise UnknownNameError("rig.follow_axes", self.follow_axes, AXES)
+        check_values(self, "rig.")
         if not self.follow:
             raise UserError(f"rig.follow must be {AUTO}, {NOTHING} or the name of a body")
 

@@ -3,8 +3,9 @@
 import dataclasses
 import re
 from dataclasses import dataclass, field
+from typing import Annotated, Literal
 
-from nerf_rl.arguments.limits import require_most, require_seed
+from nerf_rl.arguments.limits import Count, Limits, Processes, Seed, ShareBelowOne, check_values
 from nerf_rl.cameras.rig_config import RigConfig
 from nerf_rl.errors import UserError
 from nerf_rl.machine.backends import check_backend
@@ -18,26 +19,23 @@ _HOW_NOT_WHAT = ("out", "workers", "backend", "worker_timeout", "shard", "estima
 class BehaviourConfig:
     """How episodes are acted: each draws one behaviour by weight."""
 
-    random: float = 0.3
+    random: Annotated[float, Limits(least=0, most=10**6)] = 0.3
     """weight of random actions, each held for a few steps"""
-    scripted: float | None = None
+    scripted: Annotated[float, Limits(least=0, most=10**6)] | None = None
     """weight of the task's scripted policy; none: 0.2 if it has one"""
-    noisy: float | None = None
+    noisy: Annotated[float, Limits(least=0, most=10**6)] | None = None
     """weight of the scripted policy with noise and random detours; none: 0.5 if the task has one"""
-    replay: float = 0.0
+    replay: Annotated[float, Limits(least=0, most=10**6)] = 0.0
     """weight of states stored earlier; with several episodes stored, each episode replays the one of its own number"""
     states: str = ""
     """what to replay: a dataset of the same model, or an .npz file with qpos [T, nq] or [E, T, nq], and perhaps qvel"""
-    noise: float = 0.6
+    noise: Annotated[float, Limits(least=0, most=10**6)] = 0.6
     """standard deviation of the noise on scripted actions (actions are in [-1, 1])"""
 
     def __post_init__(self) -> None:
-        weights = self.weights(scripted=True)
-        if min(weights) < 0 or sum(weights) <= 0:
-            raise UserError("behaviour weights must not be negative and must not all be zero")
-        require_most(self, "behaviour.", **dict.fromkeys(("random", "scripted", "noisy", "replay", "noise"), 10**6))
-        if self.noise < 0:
-            raise UserError(f"--behaviour.noise must not be negative, got {self.noise}")
+        check_values(self, "behaviour.")
+        if not any(self.weights(scripted=True)):
+            raise UserError("behaviour weights must not all be zero")
         if (self.replay > 0) != bool(self.states):
             raise UserError("behaviour.replay is the weight and behaviour.states the source of a replay: give both")
 
@@ -61,15 +59,15 @@ class GenDatasetConfig:
     """output folder"""
     scene: str = "metaworld/drawer-open-v3"
     """metaworld/TASK, gym/ID or the path of an MJCF file (.xml or .mjcf)"""
-    episodes: int = 200
+    episodes: Count = 200
     """episodes, each with its own reset"""
-    frames_per_episode: int = 8
+    frames_per_episode: Count = 8
     """frames kept of each episode, at random steps"""
-    episode_steps: int = 100
+    episode_steps: Annotated[int, Limits(least=1, most=10**6)] = 100
     """environment steps of an episode"""
-    size: int = 64
+    size: Annotated[int, Limits(least=8, most=MOST_PIXELS)] = 64
     """image height and width [pixels]"""
-    quality: str = "fast"
+    quality: Literal["fast", "full"] = "fast"
     """fast: meshes simplified for the image size; full: full meshes, shadows and multisampling"""
     rig: RigConfig = field(default_factory=RigConfig)
     """cameras"""
@@ -77,21 +75,21 @@ class GenDatasetConfig:
     """how episodes are acted"""
     classes: list[ClassConfig] = field(default_factory=list)
     """semantic classes by pattern, tried in order before the automatic ones"""
-    validation_fraction: float = 0.1
+    validation_fraction: ShareBelowOne = 0.1
     """share of episodes held out for validation"""
-    episodes_per_shard: int = 50
+    episodes_per_shard: Count = 50
     """episodes in a shard file"""
-    workers: int = 2
+    workers: Processes = 2
     """render processes"""
     backend: str = "loky"
     """where they run: loky: on this machine; ray: on a Ray cluster (extra 'ray'; RAY_ADDRESS names it)"""
-    worker_timeout: float = 120.0
+    worker_timeout: Annotated[float, Limits(above=0, most=10**7)] = 120.0
     """a render process that gets no frame done for so long is ended, and its shard rendered anew [s]"""
     shard: str = ""
     """I/N: render only every N-th shard from the I-th on, as one of N jobs; nerf-rl merge puts the parts together"""
     estimate: bool = False
     """tell frames, bytes and minutes, measured on a few frames, and write nothing"""
-    seed: int = 0
+    seed: Seed = 0
     """seed of everything random"""
     resume: bool = False
     """keep the finished shards of an interrupted run with the same configuration"""
@@ -99,28 +97,16 @@ class GenDatasetConfig:
     """replace an existing dataset"""
 
     def __post_init__(self) -> None:
-        for name in ("episodes", "frames_per_episode", "episode_steps", "episodes_per_shard", "workers"):
-            if getattr(self, name) < 1:
-                raise UserError(f"--{name} must be at least 1, got {getattr(self, name)}")
-        require_seed(self.seed)
-        require_most(self, size=MOST_PIXELS, workers=1024, episode_steps=10**6, worker_timeout=10**7)
+        check_values(self)
         if -(-self.episodes // self.episodes_per_shard) > MOST_SHARDS:
             raise UserError(f"a dataset has at most {MOST_SHARDS} shards; use a larger --episodes_per_shard")
         check_backend(self.backend, self.workers)
-        if self.worker_timeout <= 0:
-            raise UserError(f"--worker_timeout must be positive, got {self.worker_timeout}")
         self.share()
-        if self.size < 8:
-            raise UserError(f"--size must be at least 8, got {self.size}")
-        if self.quality not in ("fast", "full"):
-            raise UserError(f"unknown quality '{self.quality}'; available: fast, full")
         if self.frames_per_episode > self.episode_steps + 1:
             raise UserError(
                 f"--frames_per_episode {self.frames_per_episode} needs at least as many --episode_steps, "
                 f"got {self.episode_steps}"
             )
-        if not 0 <= self.validation_fraction < 1:
-            raise UserError(f"--validation_fraction must be in [0, 1), got {self.validation_fraction}")
 
     def content(self) -> dict:
         """Return the keys that decide the content of the dataset (not where, how fast or in how many processes)."""

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from nerf_rl.arguments.limits import Positive, check_values
 from nerf_rl.errors import UserError
 
 
@@ -13,11 +14,10 @@ class DoctorConfig:
     """where datasets and runs will be written, to look at its free space"""
     json: str = ""
     """write the findings to this .json file as well"""
-    timeout: float = 300.0
+    timeout: Positive = 300.0
     """seconds after which a probe counts as hanging"""
 
     def __post_init__(self) -> None:
+        check_values(self)
         if self.json and not self.json.endswith(".json"):
             raise UserError(f"--json must be a .json file, got {self.json}")
-        if self.timeout <= 0:
-            raise UserError(f"--timeout must be positive, got {self.timeout}")

@@ -2,9 +2,18 @@
 
 import dataclasses
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any, Final, Literal
 
-from nerf_rl.arguments.limits import require_most, require_seed
+from nerf_rl.arguments.limits import (
+    Count,
+    Limits,
+    Natural,
+    Positive,
+    PositiveShare,
+    Processes,
+    Seed,
+    check_values,
+)
 from nerf_rl.errors import UnknownNameError, UserError
 from nerf_rl.loggers import TENSORBOARD, check_loggers
 from nerf_rl.machine.devices import check_device_name
@@ -12,11 +21,9 @@ from nerf_rl.pretrain.stopping import parse_goal
 
 TEACHERS = ("depth", "normals")
 _MOST_IN_A_PLANE = 2**27
-PRECISIONS = ("auto", "32", "bf16")
-ACCELERATORS = ("auto", "cpu", "gpu")
-STRATEGIES = ("auto", "ddp")
-FIELD, RANDOM = "field", "random"
-OBJECTIVES = (FIELD, "autoencoder", "depth", "masked", "contrastive", "supervised", RANDOM)
+FIELD: Final = "field"
+RANDOM: Final = "random"
+Objective = Literal["field", "autoencoder", "depth", "masked", "contrastive", "supervised", "random"]
 _HOW_NOT_WHAT = "data out resume overwrite threads loader_workers steps max_minutes accelerator devices nodes strategy"
 _HOW_NOT_WHAT += " log_every loggers stop_when"
 
@@ -25,47 +32,42 @@ _HOW_NOT_WHAT += " log_every loggers stop_when"
 class EncoderConfig:
     """The multi-view encoder z = h(mean_i g(CNN(o_i), K_i))."""
 
-    latent: int = 128
+    latent: Annotated[int, Limits(least=1, most=2**14)] = 128
     """size of z"""
-    patch: int = 4
+    patch: Annotated[int, Limits(least=1, most=2**12)] = 4
     """the first convolution reads patches of this size, without overlap [pixels]"""
-    channels: list[int] = field(default_factory=lambda: [48, 96, 128])
+    channels: list[Annotated[int, Limits(least=1, most=2**12)]] = field(default_factory=lambda: [48, 96, 128])
     """of the convolutions; each after the first halves the image"""
-    hidden: int = 256
+    hidden: Annotated[int, Limits(least=1, most=2**14)] = 256
     """width of g and h"""
 
     def __post_init__(self) -> None:
-        require_most(self, "encoder.", latent=2**14, hidden=2**14, patch=2**12, channels=2**12)
-        if not self.channels or min(self.latent, self.hidden, self.patch, *self.channels) < 1:
-            raise UserError("encoder.latent, hidden, patch and channels must be positive")
+        check_values(self, "encoder.")
+        if not self.channels:
+            raise UserError("--encoder.channels must name a convolution or more")
 
 
 @dataclass
 class FieldConfig:
     """The latent-conditioned radiance field: static feature planes beside a network that sees z."""
 
-    width: int = 128
+    width: Annotated[int, Limits(least=1, most=2**13)] = 128
     """of the network and of the features that are composited along a ray"""
-    layers: int = 3
+    layers: Annotated[int, Limits(least=1, most=64)] = 3
     """hidden layers"""
-    frequencies: int = 6
+    frequencies: Annotated[int, Limits(least=0, most=64)] = 6
     """octaves of the positional encoding"""
-    free_frames: int = 4
+    free_frames: Annotated[int, Limits(least=0, most=2**10)] = 4
     """frames with origins linear in z, in which points are encoded as well, beside one for each class that moves"""
-    plane_size: int = 128
+    plane_size: Annotated[int, Limits(least=1, most=2**12)] = 128
     """cells along an edge of the three static feature planes"""
-    plane_features: int = 8
+    plane_features: Annotated[int, Limits(least=1, most=2**10)] = 8
     """features in a cell"""
 
     def __post_init__(self) -> None:
-        require_most(self, "radiance_field.", width=2**13, layers=64, frequencies=64, plane_size=2**12)
-        require_most(self, "radiance_field.", plane_features=2**10, free_frames=2**10)
-        if self.plane_size**2 * self.plane_features > _MOST_IN_A_PLANE or self.free_frames < 0:
-            raise UserError("radiance_field: planes have at most 2^27 values each, and free_frames is 0 or more")
-        if min(self.width, self.layers, self.plane_size, self.plane_features) < 1 or self.frequencies < 0:
-            raise UserError(
-                "radiance_field.width, layers, plane_size and plane_features must be positive, frequencies 0 or more"
-            )
+        check_values(self, "radiance_field.")
+        if self.plane_size**2 * self.plane_features > _MOST_IN_A_PLANE:
+            raise UserError("radiance_field: planes have at most 2^27 values, plane_size^2 x plane_features, each")
 
 
 @dataclass
@@ -76,31 +78,27 @@ class SamplingConfig:
     """nearest planar depth [m]; from the data's depth if null"""
     far: float | None = None
     """depth beyond which everything is one backdrop [m]; from the data's depth if null"""
-    training_stratified: int = 4
+    training_stratified: Count = 4
     """samples a training ray, evenly between near and far"""
-    training_free_space: int = 3
+    training_free_space: Natural = 3
     """samples a training ray, on the last stretch before its known depth"""
     free_space_reach: float = 0.5
     """length of that stretch [m]"""
-    training_surface: int = 3
+    training_surface: Natural = 3
     """samples a training ray, around its known depth"""
     surface_deviation: float = 0.02
     """standard deviation of those [m]"""
-    training_importance: int = 0
+    training_importance: Natural = 0
     """samples a training ray, where the even ones found density; 0 where depth says where to look"""
-    rendering_stratified: int = 40
+    rendering_stratified: Annotated[int, Limits(least=2)] = 40
     """samples a ray without depth, evenly"""
-    rendering_importance: int = 24
+    rendering_importance: Natural = 24
     """samples a ray without depth, where the first ones found density"""
 
     def __post_init__(self) -> None:
+        check_values(self, "sampling.")
         if self.training_importance and self.training_stratified < 2:
             raise UserError("sampling.training_importance needs at least 2 training_stratified samples")
-        if self.training_stratified < 1 or self.rendering_stratified < 2:
-            raise UserError("sampling: rays need at least 1 stratified sample in training and 2 in rendering")
-        counts = self.training_free_space, self.training_surface, self.training_importance, self.rendering_importance
-        if min(counts) < 0:
-            raise UserError("sampling: numbers of samples must not be negative")
         if self.near is not None and self.far is not None and not 0 < self.near < self.far:
             raise UserError(f"sampling needs 0 < near < far, got near {self.near} and far {self.far}")
 
@@ -129,7 +127,7 @@ class PretrainConfig:
     """dataset folder"""
     out: str
     """output folder"""
-    objective: str = FIELD
+    objective: Objective = FIELD
     """what teaches the encoder: field (the radiance field), autoencoder, depth, masked (an autoencoder of hidden
     views and patches), contrastive, supervised (the true state), or random (nothing: an untrained encoder)"""
     encoder: EncoderConfig = field(default_factory=EncoderConfig)
@@ -142,51 +140,51 @@ class PretrainConfig:
     """weights of the losses"""
     teachers: list[str] = field(default_factory=lambda: list(TEACHERS))
     """per-pixel features that the feature head learns: depth, normals, or your own by module:Class"""
-    scenes_per_step: int = 32
+    scenes_per_step: Annotated[int, Limits(least=1, most=2**16)] = 32
     """frames in a training step"""
-    rays_per_scene: int = 64
+    rays_per_scene: Annotated[int, Limits(least=1, most=2**16)] = 64
     """rays drawn over all supervising cameras of a frame"""
     class_balance: float = 0.5
     """rays are drawn with weight (class frequency)^-balance: 0 is uniform, 1 gives every class the same share"""
     change_boost: float = 4.0
     """rays of fixed cameras are drawn with weight 1 + boost x (share of frames in which its class is unusual)"""
-    steps: int = 4000
+    steps: Count = 4000
     """training steps"""
-    max_minutes: float | None = None
+    max_minutes: Positive | None = None
     """wall-clock budget [minutes]; schedules end with it"""
     stop_when: str | None = None
     """measure of a validation that ends the run, such as miou>=0.9, psnr_db>=24, ssim>=0.8 or depth_mae_m<=0.03"""
-    learning_rate: float = 7e-4
+    learning_rate: Positive = 7e-4
     """peak rate of Adam"""
-    coarse_to_fine: float = 0.4
+    coarse_to_fine: PositiveShare = 0.4
     """share of the run after which moving frames see all octaves of a point; before, the finer ones open one by one"""
-    steps_per_epoch: int = 250
+    steps_per_epoch: Count = 250
     """steps between two checkpoints"""
-    epochs_per_validation: int = 4
+    epochs_per_validation: Count = 4
     """checkpoints between two validations"""
-    validation_frames: int = 16
+    validation_frames: Count = 16
     """held-out frames that are rendered whole"""
-    probe_frames: int = 4000
+    probe_frames: Count = 4000
     """training frames that probes are fitted on"""
-    precision: str = "auto"
+    precision: Literal["auto", "32", "bf16"] = "auto"
     """auto (whichever was measured to train better on such a device), 32 or bf16"""
-    accelerator: str = "auto"
+    accelerator: Literal["auto", "cpu", "gpu"] = "auto"
     """cpu, gpu, or auto (a GPU if there is one), as Lightning calls them"""
-    devices: int = 1
+    devices: Processes = 1
     """devices of each node that share every step, each with a process of its own"""
-    nodes: int = 1
+    nodes: Count = 1
     """machines; several need torchrun or srun to start the processes"""
-    strategy: str = "auto"
+    strategy: Literal["auto", "ddp"] = "auto"
     """how several devices train together: auto or ddp (distributed data parallel)"""
-    loader_workers: int | None = None
+    loader_workers: Annotated[int, Limits(least=0, most=1024)] | None = None
     """processes that prepare batches, of each device; 0: a thread of the training process (null: 0, on a GPU 2)"""
-    threads: int | None = None
+    threads: Processes | None = None
     """CPU threads of a training process (null: PyTorch's own choice, divided by the devices of a node)"""
-    log_every: int = 25
+    log_every: Count = 25
     """steps between two rows of the logs"""
     loggers: list[str] = field(default_factory=lambda: [TENSORBOARD])
     """where curves go besides metrics.csv: tensorboard, wandb, mlflow, or your own Lightning logger by module:Class"""
-    seed: int = 0
+    seed: Seed = 0
     """seed of everything random"""
     resume: bool = False
     """continue from the last checkpoint"""
@@ -194,21 +192,11 @@ class PretrainConfig:
     """replace an existing run"""
 
     def __post_init__(self) -> None:
+        check_values(self)
         check_loggers(self.loggers)
         for teacher in self.teachers:
             if teacher not in TEACHERS and ":" not in teacher:
                 raise UnknownNameError("teacher", teacher, TEACHERS)
-        choices = {"precision": PRECISIONS, "accelerator": ACCELERATORS, "strategy": STRATEGIES}
-        for name, available in (choices | {"objective": OBJECTIVES}).items():
-            if getattr(self, name) not in available:
-                raise UnknownNameError(name, getattr(self, name), available)
-        positive = "scenes_per_step rays_per_scene steps steps_per_epoch epochs_per_validation validation_frames"
-        for name in f"{positive} probe_frames devices nodes log_every".split():
-            if getattr(self, name) < 1:
-                raise UserError(f"--{name} must be at least 1, got {getattr(self, name)}")
-        for name, least in (("threads", 1), ("loader_workers", 0)):
-            if (value := getattr(self, name)) is not None and value < least:
-                raise UserError(f"--{name} must be at least {least}, got {value}")
         if self.scenes_per_step % self.processes:
             raise UserError(
                 f"--scenes_per_step {self.scenes_per_step} cannot be shared evenly by {self.processes} processes "
@@ -216,20 +204,12 @@ class PretrainConfig:
             )
         if self.objective != FIELD and self.processes > 1:
             raise UserError(f"--objective {self.objective} is trained on one device; only {FIELD} is shared by several")
-        require_most(self, scenes_per_step=2**16, rays_per_scene=2**16, loader_workers=1024, threads=1024, devices=1024)
         if self.scenes_per_step * self.rays_per_scene > 2**22:
             raise UserError("scenes_per_step x rays_per_scene is at most 2^22")
-        require_seed(self.seed)
-        if self.learning_rate <= 0:
-            raise UserError(f"--learning_rate must be positive, got {self.learning_rate}")
-        if not 0 < self.coarse_to_fine <= 1:
-            raise UserError(f"--coarse_to_fine must be in (0, 1], got {self.coarse_to_fine}")
         if self.stop_when is not None:
             if self.objective != FIELD:
                 raise UserError(f"--stop_when needs validations, which --objective {self.objective} has none of")
             parse_goal(self.stop_when)
-        if self.max_minutes is not None and self.max_minutes <= 0:
-            raise UserError(f"--max_minutes must be positive, got {self.max_minutes}")
 
     @property
     def processes(self) -> int:
@@ -251,11 +231,11 @@ class ProbeConfig:
     """dataset folder, rendered with the encoder's camera rig"""
     out: str | None = None
     """output folder for summary.json; only printed if null"""
-    frames: int = 4000
+    frames: Annotated[int, Limits(least=2)] = 4000
     """training frames that the probes are fitted on"""
-    ceiling_steps: int = 0
+    ceiling_steps: Natural = 0
     """steps of a third encoder, of the same size, that learns the true state itself: 1000 show what is possible"""
-    seed: int = 0
+    seed: Seed = 0
     """seed of the encoders that stand beside"""
     device: str = "auto"
     """where to encode: cpu, cuda, cuda:1 or auto (a GPU if there is one)"""
@@ -263,9 +243,5 @@ class ProbeConfig:
     """replace an existing output folder"""
 
     def __post_init__(self) -> None:
-        require_seed(self.seed)
-        if self.frames < 2:
-            raise UserError(f"--frames must be at least 2, got {self.frames}")
-        if self.ceiling_steps < 0:
-            raise UserError(f"--ceiling_steps must not be negative, got {self.ceiling_steps}")
+        check_values(self)
         check_device_name(self.device)

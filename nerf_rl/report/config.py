@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from nerf_rl.arguments.limits import Count, Seed, check_values
 from nerf_rl.errors import UserError
 
 
@@ -17,15 +18,14 @@ class ReportConfig:
     """dataset folder; by default the one that the encoder was trained on, if it is still there"""
     encoder: str = ""
     """run folder of pretrain; by default the agent's encoder, if it has one"""
-    episodes: int = 2
+    episodes: Count = 2
     """episodes in the clip"""
-    seed: int = 1
+    seed: Seed = 1
     """seed of those episodes"""
     overwrite: bool = False
     """replace an existing page"""
 
     def __post_init__(self) -> None:
+        check_values(self)
         if not self.out.endswith(".html"):
             raise UserError(f"--out must be an .html file, got {self.out}")
-        if self.episodes < 1 or self.seed < 0:
-            raise UserError("--episodes must be at least 1 and --seed must not be negative")

@@ -1,8 +1,9 @@
 """What an evaluation is made of; importing this module loads nothing heavy."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
-from nerf_rl.arguments.limits import require_most, require_seed
+from nerf_rl.arguments.limits import Count, Limits, Processes, Seed, check_values
 from nerf_rl.errors import UserError
 from nerf_rl.machine.devices import check_device_name
 
@@ -17,29 +18,25 @@ class EvaluateConfig:
     """output folder"""
     encoder: str = ""
     """where the encoder is now, if it has moved since training: a folder, or hf://USER/NAME"""
-    episodes: int = 20
+    episodes: Annotated[int, Limits(least=1, most=10**6)] = 20
     """episodes to count"""
-    envs: int = 2
+    envs: Processes = 2
     """environments, each in a process of its own"""
-    seed: int = 1
+    seed: Seed = 1
     """seed of the episodes; training's own evaluations use 0"""
     device: str = "cpu"
     """where to run the policy, and each environment's encoder: cpu, cuda, cuda:1 or auto"""
     video: bool = False
     """also write an mp4 of a few episodes"""
-    video_episodes: int = 3
+    video_episodes: Count = 3
     """episodes in the video"""
-    video_size: int = 256
+    video_size: Annotated[int, Limits(least=32, most=4096)] = 256
     """height of the video [pixels]"""
     overwrite: bool = False
     """replace an existing output folder"""
 
     def __post_init__(self) -> None:
-        for name in ("episodes", "envs", "video_episodes"):
-            if getattr(self, name) < 1:
-                raise UserError(f"--{name} must be at least 1, got {getattr(self, name)}")
+        check_values(self)
         check_device_name(self.device)
-        require_seed(self.seed)
-        require_most(self, episodes=10**6, envs=1024, video_size=4096)
-        if self.video_size < 32 or self.video_size % 16:
-            raise UserError(f"--video_size must be a multiple of 16 and at least 32, got {self.video_size}")
+        if self.video_size % 16:
+            raise UserError(f"--video_size must be a multiple of 16, got {self.video_size}")

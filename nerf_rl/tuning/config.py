@@ -1,13 +1,10 @@
-"""What a hyper-parameter search is made of; importing this module loads nothing heavier than NumPy."""
+"""What a hyper-parameter search is made of; importing this module loads nothing heavy."""
 
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from nerf_rl.errors import UnknownNameError, UserError
-from nerf_rl.tuning.whale import MODES
-
-SAMPLERS = ("whale", "tpe", "cmaes", "random")
-FITNESS = ("mean_return", "success_rate")
+from nerf_rl.arguments.limits import Count, Limits, Natural, Processes, Seed, Share, check_values
+from nerf_rl.errors import UserError
 
 
 @dataclass
@@ -54,16 +51,13 @@ class Range:
 class WhaleConfig:
     """The Whale Optimisation Algorithm; of no effect with other samplers."""
 
-    population: int = 10
+    population: Annotated[int, Limits(least=2)] = 10
     """whales in a generation"""
-    mode: str = "faithful"
+    mode: Literal["faithful", "shift_invariant"] = "faithful"
     """faithful: the authors' program, with its origin at the recipe's values; shift_invariant: no preferred place"""
 
     def __post_init__(self) -> None:
-        if self.population < 2:
-            raise UserError(f"--whale.population must be at least 2, got {self.population}")
-        if self.mode not in MODES:
-            raise UnknownNameError("whale mode", self.mode, MODES)
+        check_values(self, "whale.")
 
 
 @dataclass
@@ -80,23 +74,23 @@ class TuneConfig:
     """keys of train-rl that are other than in the recipe, such as env_steps"""
     algo: str = ""
     """algorithm of train-rl; empty: the recipe's"""
-    sampler: str = "whale"
+    sampler: Literal["whale", "tpe", "cmaes", "random"] = "whale"
     """whale, tpe, cmaes or random"""
     whale: WhaleConfig = field(default_factory=WhaleConfig)
     """the whale sampler"""
-    trials: int = 50
+    trials: Count = 50
     """trials of the study, over all workers and machines"""
-    env_steps_total: int = 0
+    env_steps_total: Natural = 0
     """environment steps of all trials together, instead of trials; 0: trials counts"""
-    seeds: int = 1
+    seeds: Count = 1
     """training seeds that a trial's fitness is the mean of"""
-    fitness: str = "mean_return"
+    fitness: Literal["mean_return", "success_rate"] = "mean_return"
     """mean_return (undiscounted, whole episodes) or success_rate, of each run's last evaluation"""
     prune: bool = False
     """stop trials whose evaluations are below the median of others at the same step"""
-    prune_after: float = 0.3
+    prune_after: Share = 0.3
     """share of a run's env_steps before which nothing is pruned"""
-    workers: int = 2
+    workers: Processes = 2
     """processes, each with a trial at a time"""
     storage: str = ""
     """journal file or URL of Optuna's; empty: a journal in the output folder"""
@@ -104,7 +98,7 @@ class TuneConfig:
     """name of the study in the storage; machines that give the same storage and name share it"""
     keep_runs: bool = False
     """keep the run folder of each trial"""
-    seed: int = 0
+    seed: Seed = 0
     """seed of the search"""
     resume: bool = False
     """go on with an interrupted study"""
@@ -112,18 +106,7 @@ class TuneConfig:
     """replace an existing output folder; a study in a storage elsewhere stays, and is gone on with"""
 
     def __post_init__(self) -> None:
-        for name in ("trials", "seeds", "workers"):
-            if getattr(self, name) < 1:
-                raise UserError(f"--{name} must be at least 1, got {getattr(self, name)}")
-        for name in ("env_steps_total", "seed"):
-            if getattr(self, name) < 0:
-                raise UserError(f"--{name} must not be negative, got {getattr(self, name)}")
-        if not 0 <= self.prune_after <= 1:
-            raise UserError(f"--prune_after must be in [0, 1], got {self.prune_after}")
-        if self.sampler not in SAMPLERS:
-            raise UnknownNameError("sampler", self.sampler, SAMPLERS)
-        if self.fitness not in FITNESS:
-            raise UnknownNameError("fitness", self.fitness, FITNESS)
+        check_values(self)
         for key, searched in self.space.items():
             searched.check(key)
 

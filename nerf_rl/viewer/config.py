@@ -2,7 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
+from nerf_rl.arguments.limits import Count, Limits, Processes, Seed, check_values
 from nerf_rl.errors import UserError
 from nerf_rl.machine.devices import check_device_name
 
@@ -21,7 +23,7 @@ class ViewConfig:
     """where an agent's encoder is now, if it has moved since training"""
     host: str = "127.0.0.1"
     """address to serve on; 0.0.0.0 lets other machines in"""
-    port: int = 0
+    port: Annotated[int, Limits(least=0, most=65535)] = 0
     """port to serve on; 0 takes a free one"""
     save: str = ""
     """write a page that holds everything itself (.html) and end, without a server"""
@@ -29,13 +31,13 @@ class ViewConfig:
     """write a contact sheet (.png) and end, without a server"""
     mp4: str = ""
     """write a video (.mp4) and end, without a server"""
-    frames: int = 24
+    frames: Count = 24
     """frames in the page and in the video of a dataset or an encoder"""
-    episodes: int = 5
+    episodes: Count = 5
     """evaluation episodes of an agent to choose from"""
-    seed: int = 1
+    seed: Seed = 1
     """seed of an agent's episodes; training's own evaluations use 0"""
-    threads: int = 2
+    threads: Processes = 2
     """threads that render the radiance field"""
     device: str = "auto"
     """where to encode and to render the radiance field: cpu, cuda, cuda:1 or auto (a GPU if there is one)"""
@@ -43,18 +45,12 @@ class ViewConfig:
     """replace existing files"""
 
     def __post_init__(self) -> None:
+        check_values(self)
         for name, suffix in _SUFFIXES.items():
             value = getattr(self, name)
             if value and not value.endswith(suffix):
                 raise UserError(f"--{name} must be an {suffix} file, got {value}")
-        if not 0 <= self.port < 65536:
-            raise UserError(f"--port must be in 0 to 65535, got {self.port}")
-        for name in ("frames", "episodes", "threads"):
-            if getattr(self, name) < 1:
-                raise UserError(f"--{name} must be at least 1, got {getattr(self, name)}")
         check_device_name(self.device)
-        if self.seed < 0:
-            raise UserError(f"--seed must not be negative, got {self.seed}")
 
     @property
     def files(self) -> dict[str, Path]:

@@ -170,7 +170,13 @@ def test_discrete_actions_are_refused():
         Behaviour(scene, RANDOM, 5)
 
 
-@pytest.mark.parametrize("weights", [(0.0, 0.0, 0.0), (1.0, -0.1, 0.0)])
-def test_weights_that_are_no_mixture_are_refused(weights: tuple[float, float, float]):
-    with pytest.raises(UserError, match="behaviour weights"):
+@pytest.mark.parametrize(
+    "weights, words",
+    [
+        ((0.0, 0.0, 0.0), "behaviour weights must not all be zero"),
+        ((1.0, -0.1, 0.0), "--behaviour.scripted must be in"),
+    ],
+)
+def test_weights_that_are_no_mixture_are_refused(weights: tuple[float, float, float], words: str):
+    with pytest.raises(UserError, match=words):
         BehaviourConfig(*weights)

@@ -102,7 +102,8 @@ def test_a_folder_of_someone_else_is_not_overwritten(
         (["--scene", "nowhere"], "unknown scene 'nowhere'; available: metaworld/TASK"),
         (["--classes", "[{name: window, pattern: glass}]"], "class 'window': no geom matches 'glass'"),
         (["--frames_per_episode", "14"], "--frames_per_episode 14"),
-        (["--quality", "best"], "unknown quality 'best'; available: fast, full"),
+        (["--quality", "best"], "unknown quality 'best' (did you mean fast?); available: fast, full"),
+        (["--rig.follow_axes", "up"], "unknown rig.follow_axes 'up'; available: xy, xyz"),
     ],
 )
 def test_a_mistake_is_one_sentence_and_nothing_is_written(

@@ -196,7 +196,7 @@ def test_a_scene_that_is_a_link_to_elsewhere_is_not_read(source: Path, tmp_path:
         (["source", "--encoder", "[camera_0]", "--test", "[camera_0]"], "--encoder and --test both name camera_0"),
         (["source", "--test", "[camera_0, camera_1]"], "leaves no camera to the encoder"),
         (["source", "--shrink", "13"], "--shrink 13 leaves nothing of pictures of 12 x 12 pixels"),
-        (["source", "--scale", "0"], "--scale must be positive"),
+        (["source", "--scale", "0"], "--scale must be in (0, 1000000], got 0.0"),
         (["source", "--empty_depth", "far"], "unknown empty_depth 'far'; available: nothing, unknown"),
         (["source", "--validation_fraction", "1"], "--validation_fraction must be in [0, 1)"),
     ],

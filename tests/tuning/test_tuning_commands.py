@@ -93,7 +93,10 @@ def test_a_search_leaves_what_it_promises_and_goes_on(
         (["--space", "{learner.tau: {low: 0, high: 1, log: true}}"], "learner.tau has a logarithmic scale, so its low"),
         (["--space", "{learner.n_step: {low: 0.5, high: 3, integer: true}}"], "learner.n_step is an integer, so low"),
         (["--space", "{learner.n_step: {low: 1, high: 3}}"], "learner.n_step"),
-        (["--space", "{network.normalisation: {choices: [layr]}}"], "unknown normalisation 'layr' (did you mean layer"),
+        (
+            ["--space", "{network.normalisation: {choices: [layr]}}"],
+            "unknown network.normalisation 'layr' (did you mean layer",
+        ),
         (["--space", "{network.normalisation: {choices: [[1]]}}"], "network.normalisation's choices must be words"),
         (
             ["--space", "{network.hidden.7: {low: 8, high: 16, integer: true}}"],
@@ -104,7 +107,7 @@ def test_a_search_leaves_what_it_promises_and_goes_on(
         (["--overrides", "{env_stps: 100}"], "unknown key 'env_stps' (did you mean env_steps"),
         (["--recipe", "no/such.yaml"], "no/such.yaml"),
         (["--sampler", "wale"], "unknown sampler 'wale' (did you mean whale?); available: cmaes, random, tpe, whale"),
-        (["--whale.mode", "faithfull"], "unknown whale mode 'faithfull' (did you mean faithful?)"),
+        (["--whale.mode", "faithfull"], "unknown whale.mode 'faithfull' (did you mean faithful?)"),
         (["--whale.population", "1"], "--whale.population must be at least 2, got 1"),
         (["--fitness", "reward"], "unknown fitness 'reward'; available: mean_return, success_rate"),
         (["--trials", "0"], "--trials must be at least 1, got 0"),

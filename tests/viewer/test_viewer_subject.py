@@ -56,9 +56,9 @@ def test_the_path_needs_no_key_wherever_it_stands() -> None:
     "keys, message",
     [
         ({"save": "x.png"}, "--save must be an .html file"),
-        ({"port": 70000}, "--port must be in 0 to 65535"),
+        ({"port": 70000}, "--port must be at most 65535, got 70000"),
         ({"frames": 0}, "--frames must be at least 1"),
-        ({"seed": -1}, "--seed must not be negative"),
+        ({"seed": -1}, "--seed must be at least 0"),
     ],
 )
 def test_contradictions_are_rejected(keys: dict, message: str) -> None:

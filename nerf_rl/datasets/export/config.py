@@ -1,10 +1,9 @@
 """Keys of ``nerf-rl export``; importing this module loads nothing heavy."""
 
 from dataclasses import dataclass, field
+from typing import Literal
 
-from nerf_rl.errors import UnknownNameError, UserError
-
-FORMATS = ("nerfstudio", "pointcloud", "mesh", "lerobot")
+from nerf_rl.arguments.limits import Natural, NotNegative, Positive, check_values
 
 
 @dataclass
@@ -15,7 +14,7 @@ class ExportConfig:
     """dataset folder; may be given without its key"""
     out: str
     """output folder"""
-    format: str = "nerfstudio"
+    format: Literal["nerfstudio", "pointcloud", "mesh", "lerobot"] = "nerfstudio"
     """nerfstudio: a scene folder for each frame; pointcloud: coloured points; mesh: a coloured surface (PLY both);
     lerobot: a LeRobotDataset of whole episodes"""
     frames: list[int] = field(default_factory=list)
@@ -24,9 +23,9 @@ class ExportConfig:
     """episodes to export all frames of; with neither frames nor episodes, everything is exported"""
     exclude: list[str] = field(default_factory=list)
     """classes to leave out: masked in nerfstudio's scenes, absent from points and surfaces"""
-    reach: float = 0.0
+    reach: NotNegative = 0.0
     """depth beyond which there are no points and surfaces [m]; 0: whatever was hit"""
-    voxel: float = 0.01
+    voxel: Positive = 0.01
     """edge of a mesh's voxels [m]"""
     cameras: list[str] = field(default_factory=list)
     """lerobot: cameras to export, the main one first; with none, all, the encoder's first"""
@@ -34,17 +33,10 @@ class ExportConfig:
     """lerobot: whether depth is among the features; LeRobot gives a policy all pictures unless it is told which"""
     task: str = ""
     """lerobot: the instruction in words; without, those of the scene's name"""
-    fps: int = 0
+    fps: Natural = 0
     """lerobot: frames a second; 0: the steps that the scene takes in a second"""
     overwrite: bool = False
     """replace an existing export"""
 
     def __post_init__(self) -> None:
-        if self.format not in FORMATS:
-            raise UnknownNameError("format", self.format, FORMATS)
-        if self.reach < 0 or self.voxel <= 0:
-            raise UserError(
-                f"--reach must not be negative and --voxel must be positive, got {self.reach}, {self.voxel}"
-            )
-        if self.fps < 0:
-            raise UserError(f"--fps must not be negative, got {self.fps}")
+        check_values(self)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from nerf_rl.errors import UserError
+from nerf_rl.arguments.limits import Processes, check_values
 
 
 @dataclass
@@ -13,9 +13,8 @@ class CheckConfig:
     """folder of the dataset"""
     repair: bool = False
     """render damaged and missing shards again, from the manifest's configuration"""
-    workers: int = 2
+    workers: Processes = 2
     """render processes of a repair"""
 
     def __post_init__(self) -> None:
-        if self.workers < 1:
-            raise UserError(f"--workers must be at least 1, got {self.workers}")
+        check_values(self)

@@ -2,7 +2,7 @@
 
 import hashlib
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from nerf_rl.errors import MissingFileError, UserError
 from nerf_rl.files.json_files import read_json
@@ -10,7 +10,7 @@ from nerf_rl.files.structure import flag, listing, mapping, number, one_of, opti
 from nerf_rl.hub.address import is_address
 from nerf_rl.hub.fetch import ENCODER_IN_AGENT, lasting, resolve
 from nerf_rl.pretrain.model.encoder_file import WEIGHTS, is_checkpoint, read_description
-from nerf_rl.rl.config import CONTROLS
+from nerf_rl.rl.config import Control
 
 POLICY_VERSION = 2
 POLICY_WEIGHTS, POLICY_DESCRIPTION = "policy.safetensors", "policy.json"
@@ -26,7 +26,7 @@ _STRUCTURE = mapping(
             {
                 "panda": mapping({}, dict.fromkeys(("control", "reward", "observation"), text())),
                 "observe": listing(text()),
-                "control": one_of(*CONTROLS),
+                "control": one_of(*get_args(Control)),
             },
         ),
         "network": mapping({}, others=True),
