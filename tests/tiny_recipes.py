@@ -1,5 +1,10 @@
 """Recipes of a tiny dataset and a tiny encoder, and keys of a tiny agent, which several test files share."""
 
+from pathlib import Path
+
+from nerf_rl import cli
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+
 TINY_DATASET = """
 scene: metaworld/drawer-open-v3
 episodes: 4
@@ -80,3 +85,11 @@ def travelling_recipe(episodes: int = 4) -> str:
     recipe = before.replace("metaworld/drawer-open-v3", "gym/HalfCheetah-v5").replace("steps: 12", "steps: 30")
     rig = "rig: {encoder: [view_0, view_1], test: [view_2], random: {count: 1}}\n"
     return recipe.replace("episodes: 4", f"episodes: {episodes}") + rig + rest
+
+
+def generate_whole_episodes(recipe: Path, folder: Path, episodes: int, steps: int) -> MultiViewDataset:
+    """Return a dataset of a recipe that keeps every step of its episodes."""
+    sizes = {"episodes": episodes, "episode_steps": steps, "frames_per_episode": steps + 1}
+    keys = [word for key, value in sizes.items() for word in (f"--{key}", str(value))]
+    assert cli.main(["gen-dataset", "--config", str(recipe), "--out", str(folder), *keys]) == 0
+    return MultiViewDataset(folder)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tiny_recipes import generate_whole_episodes
 
 from nerf_rl import cli
 from nerf_rl.datasets.storage.reader import MultiViewDataset
@@ -25,11 +26,7 @@ TINY += ["--sampling.rendering_stratified", "6", "--sampling.rendering_importanc
 @pytest.fixture(scope="module")
 def original(tiny_recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> MultiViewDataset:
     """All steps of four episodes, seen by three fixed cameras and one that moves between frames."""
-    folder = tmp_path_factory.mktemp("whole") / "dataset"
-    sizes = {"episodes": EPISODES, "episode_steps": STEPS, "frames_per_episode": STEPS + 1}
-    keys = [word for key, value in sizes.items() for word in (f"--{key}", str(value))]
-    assert cli.main(["gen-dataset", "--config", str(tiny_recipe), "--out", str(folder), *keys]) == 0
-    return MultiViewDataset(folder)
+    return generate_whole_episodes(tiny_recipe, tmp_path_factory.mktemp("whole") / "dataset", EPISODES, STEPS)
 
 
 @pytest.fixture(scope="module")
