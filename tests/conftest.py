@@ -1,10 +1,15 @@
 """What several test files share: the scene, a tiny dataset and a tiny encoder, made once a session by the commands."""
 
+import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # there is a test on each core: their threads would wait for each other
 
 import lightning  # noqa: F401  before anything renders: Triton, which it loads, crashes after software OpenGL's LLVM
 import pytest
+import torch
 from tiny_recipes import TINY_DATASET, TINY_PRETRAINING, TINY_TRAINING, travelling_recipe
 
 from nerf_rl import cli  # before any test file imports mujoco, which reads the OpenGL backend's name once
@@ -13,6 +18,13 @@ from nerf_rl.scenes.make import make_scene
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # started in the background: what tests start would ignore Ctrl-C
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """Take back the threads that a command has asked PyTorch for."""
+    yield
+    torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
 
 
 @pytest.fixture(scope="session")
