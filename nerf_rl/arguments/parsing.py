@@ -21,6 +21,10 @@ RENAMED = {
     "sampling.training_approach": "sampling.training_free_space",
     "sampling.approach_reach": "sampling.free_space_reach",
     "sharp_at": "coarse_to_fine",
+    "noise.hold_share": "noise.epsilon_z",
+    "noise.hold_start": "noise.epsilon_z_start",
+    "noise.hold_steps": "noise.epsilon_z_steps",
+    "noise.hold_kind": "noise.epsilon_z_kind",
 }
 """What keys of earlier versions are called now."""
 _ALONE = ("-h", "--help", "--print_config")  # keys without a value

@@ -65,13 +65,13 @@ class NoiseConfig:
     """environment steps from start to end"""
     theta: PositiveShare = 0.15
     """ou only: share of the noise that is forgotten in each step"""
-    hold_share: ShareBelowOne = 0.1
+    epsilon_z: ShareBelowOne = 0.1
     """share of the first agent steps that repeat a random action instead; it falls with the noise, 0 switches it off"""
-    hold_start: Share = 1.0
+    epsilon_z_start: Share = 1.0
     """probability that one of the first episodes begins with such an action; it falls with the noise"""
-    hold_steps: Annotated[int, Limits(least=1, most=10**9)] = 8
+    epsilon_z_steps: Annotated[int, Limits(least=1, most=10**9)] = 8
     """mean number of agent steps for which such an action is repeated"""
-    hold_kind: Literal["corner", "anywhere"] = "corner"
+    epsilon_z_kind: Literal["corner", "anywhere"] = "corner"
     """what is repeated: corner (of the action box, which moves furthest) or anywhere (in it, and every third a rest)"""
 
     def __post_init__(self) -> None:

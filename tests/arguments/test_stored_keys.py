@@ -43,7 +43,7 @@ def without(content: dict[str, Any], *path: str | int) -> dict[str, Any]:
     [
         (PretrainConfig, ["--data", "d", "--out", "o"], ("coarse_to_fine",)),
         (PretrainConfig, ["--data", "d", "--out", "o"], ("radiance_field", "free_frames")),
-        (TrainRLConfig, ["--out", "o"], ("noise", "hold_kind")),
+        (TrainRLConfig, ["--out", "o"], ("noise", "epsilon_z_kind")),
         (TrainRLConfig, ["--out", "o"], ("learning_starts",)),
         (TuneConfig, ["--out", "o", "--space", '{"envs": {"low": 1, "high": 2}}'], ("space", "envs", "step")),
         (GenDatasetConfig, ["--out", "o", "--rig.cameras", '[{"name": "top"}]'], ("rig", "cameras", 0, "follow")),
@@ -116,8 +116,9 @@ def test_an_agent_of_an_earlier_version_is_resumed(tmp_path: Path, capsys: pytes
     arguments = ["train-rl", "--out", str(out), *TINY_TRAINING]
     assert cli.main(arguments) == 0
     config = yaml.safe_load((out / "config.yaml").read_text())
-    (out / "config.yaml").write_text(yaml.safe_dump(without(without(config, "noise", "hold_kind"), "learning_starts")))
-    assert cli.main([*arguments, "--resume", "true", "--noise.hold_kind", "anywhere"]) == 2
+    older = without(without(config, "noise", "epsilon_z_kind"), "learning_starts")
+    (out / "config.yaml").write_text(yaml.safe_dump(older))
+    assert cli.main([*arguments, "--resume", "true", "--noise.epsilon_z_kind", "anywhere"]) == 2
     assert "was begun with another --noise; " in capsys.readouterr().err
     assert cli.main([*arguments, "--resume", "true"]) == 0
 
@@ -157,7 +158,7 @@ def test_a_search_of_an_earlier_version_is_resumed(study: Callable[..., int], tm
     config = yaml.safe_load((out / "config.yaml").read_text())
     (out / "config.yaml").write_text(yaml.safe_dump(without(without(config, "prune_after"), "whale", "mode")))
     begun = optuna.load_study(study_name="tune", storage=open_storage("", out))
-    content = without(without(begun.user_attrs["content"], "prune_after"), "train-rl's noise", "hold_kind")
+    content = without(without(begun.user_attrs["content"], "prune_after"), "train-rl's noise", "epsilon_z_kind")
     begun.set_user_attr("content", content)
     assert study("--resume", "true", "--prune_after", "0.5") == 2
     assert "was begun with another --prune_after" in capsys.readouterr().err

@@ -26,7 +26,7 @@ ROOT = Path(__file__).parents[2]
         (["--network.normalisation", "layr"], "unknown network.normalisation 'layr' (did you mean layer?)"),
         (["--network.hidden", "[256]"], "--network.hidden needs two widths, got [256]"),
         (["--noise.kind", "pnk"], "unknown noise.kind 'pnk' (did you mean pink?); available: gaussian, ou, pink"),
-        (["--noise.hold_share", "1"], "--noise.hold_share must be in [0, 1), got 1.0"),
+        (["--noise.epsilon_z", "1"], "--noise.epsilon_z must be in [0, 1), got 1.0"),
         (["--replay.beta", "2"], "--replay.beta must be in [0, 1], got 2.0"),
         (
             ["--replay.hindsight", "4"],

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nerf_rl.rl.config import NoiseConfig
-from nerf_rl.rl.experience.noise import HeldActions, Noise, linear_schedule, pink_noise
+from nerf_rl.rl.experience.noise import EpsilonZGreedy, Noise, linear_schedule, pink_noise
 
 
 def samples(kind: str, theta: float = 0.15) -> np.ndarray:
@@ -48,7 +48,7 @@ def test_reset_forgets_one_environment_only() -> None:
 
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.7])
 def test_held_actions_replace_the_given_share_and_last_the_given_time_on_average(share: float) -> None:
-    held = HeldActions(50, 16, 6, np.random.default_rng(0))
+    held = EpsilonZGreedy(50, 16, 6, np.random.default_rng(0))
     own = np.full((50, 16), 9.0, np.float32)
     actions = np.stack([held.override(own, share) for _ in range(2000)])
     replaced = actions[..., 0] != 9.0
@@ -60,7 +60,7 @@ def test_held_actions_replace_the_given_share_and_last_the_given_time_on_average
 
 
 def test_held_actions_anywhere_fill_the_box_and_every_third_is_a_rest() -> None:
-    held = HeldActions(200, 3, 1, np.random.default_rng(0), "anywhere")
+    held = EpsilonZGreedy(200, 3, 1, np.random.default_rng(0), "anywhere")
     own = np.full((200, 3), 9.0, np.float32)
     actions = np.concatenate([held.override(own, 0.9) for _ in range(50)])
     actions = actions[actions[:, 0] != 9.0]
@@ -71,7 +71,7 @@ def test_held_actions_anywhere_fill_the_box_and_every_third_is_a_rest() -> None:
 
 
 def test_a_hold_ends_with_its_episode() -> None:
-    held = HeldActions(2, 1, 10**6, np.random.default_rng(0))
+    held = EpsilonZGreedy(2, 1, 10**6, np.random.default_rng(0))
     own = np.full((2, 1), 9.0, np.float32)
     while (held.override(own, 0.999999) == 9.0).any():
         pass
@@ -89,7 +89,7 @@ def test_the_power_of_pink_noise_falls_as_one_over_frequency(length: int) -> Non
 
 
 def test_an_episode_can_begin_with_a_hold() -> None:
-    held = HeldActions(1, 1, 5, np.random.default_rng(0))
+    held = EpsilonZGreedy(1, 1, 5, np.random.default_rng(0))
     own = np.full((1, 1), 9.0, np.float32)
     begun = 0
     for _ in range(2000):

@@ -78,8 +78,8 @@ def pink_noise(length: int, channels: int, rng: np.random.Generator) -> Float[nd
     return np.fft.irfft(spectrum, length, axis=0) / math.sqrt(variance)
 
 
-class HeldActions:
-    """Random actions, each held for a while: temporally extended e-greedy (Dabney et al. 2021).
+class EpsilonZGreedy:
+    """Random actions, each held for a while: ez-greedy, temporally extended epsilon-greedy (Dabney et al. 2021).
 
     Independent noise trembles around one place; a policy that rests against a handle is only carried behind it by a
     motion that goes on in one direction, and that the policy does not counteract. Corners of the box move furthest. But

@@ -21,7 +21,7 @@ from nerf_rl.rl.environments.goals import GoalTask
 from nerf_rl.rl.environments.make import reset_some
 from nerf_rl.rl.experience.hindsight import Hindsight
 from nerf_rl.rl.experience.n_step import NStep
-from nerf_rl.rl.experience.noise import HeldActions, Noise, linear_schedule
+from nerf_rl.rl.experience.noise import EpsilonZGreedy, Noise, linear_schedule
 from nerf_rl.rl.experience.replay import Replay
 from nerf_rl.rl.experience.replay_chunks import count_rows, load_rows, most_rows, save_rows
 from nerf_rl.rl.training.checkpoint import last_checkpoint, load_checkpoint, save_checkpoint
@@ -69,7 +69,8 @@ class Trainer:
         self.replay = Replay(config.replay, *sizes, run / "replay", config.seed, self._checkpoint_rows(), count)
         steps = -(-config.episode_steps // config.action_repeat)
         self._noise = Noise(config.noise, count, self.action_size, steps, self._rng)
-        self._held = HeldActions(count, self.action_size, config.noise.hold_steps, self._rng, config.noise.hold_kind)
+        held = (config.noise.epsilon_z_steps, self._rng, config.noise.epsilon_z_kind)
+        self._epsilon_z = EpsilonZGreedy(count, self.action_size, *held)
         self._n_steps = [NStep(learner.n_step, learner.gamma) for _ in range(count)]
         self._hindsight = self._make_hindsight(goal_task)
         self._length = np.zeros(count, np.int64)
@@ -234,7 +235,7 @@ class Trainer:
             self._episode_index[env] += 1
             self._returns[env], self._success[env], self._length[env] = 0.0, False, 0
             self._noise.reset(env)
-            self._held.reset(env, self._decayed(self._config.noise.hold_start))
+            self._epsilon_z.reset(env, self._decayed(self._config.noise.epsilon_z_start))
         return reset_some(self._envs, which, seeds)
 
     def _step(self, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E O"]:
@@ -276,9 +277,9 @@ class Trainer:
         config = self._config
         if self._acted < config.warmup_steps:
             random = self._rng.uniform(-1.0, 1.0, (self._envs.num_envs, self.action_size)).astype(np.float32)
-            return self._held.override(random, 0.8)
+            return self._epsilon_z.override(random, 0.8)
         noisy = np.clip(self.agent.act(observation) + self._noise.sample(self._explored), -1.0, 1.0)
-        return self._held.override(noisy.astype(np.float32), self._decayed(config.noise.hold_share))
+        return self._epsilon_z.override(noisy.astype(np.float32), self._decayed(config.noise.epsilon_z))
 
     def _decayed(self, start: float) -> float:
         return linear_schedule(start, 0.0, self._config.noise.decay_steps, self._explored)
