@@ -43,7 +43,9 @@ class Memory(Replay):
 
     def sample(self, beta: float) -> Batch:
         o = torch.zeros(4, 3)
-        return Batch(torch.arange(4), torch.ones(4), o, torch.zeros(4, 2), torch.zeros(4), torch.ones(4), o)
+        return Batch(
+            torch.arange(4), torch.ones(4), o, torch.zeros(4, 2), torch.zeros(4), torch.ones(4), o, torch.zeros(4)
+        )
 
     def sample_observations(self) -> torch.Tensor:
         return torch.zeros(4, 3)

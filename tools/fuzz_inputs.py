@@ -63,7 +63,7 @@ TRAINING = """
 env_steps: 80
 warmup_steps: 40
 episode_steps: 20
-learner: {batch_size: 8}
+learner: {batch_size: 8, bound_by_returns: true}
 evaluation_every: 40
 evaluation_episodes: 2
 final_evaluation_episodes: 2

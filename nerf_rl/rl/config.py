@@ -133,6 +133,9 @@ class LearnerConfig:
     """uniform: the actor learns from a batch of its own; prioritised: from the critic's batch"""
     reward_scale: Positive = 0.1
     """factor on rewards inside the learner; reported returns are unscaled"""
+    bound_by_returns: bool = False
+    """let no step's target be less than what its episode brought from it on (He et al. 2017); for environments in which
+    the same actions bring the same again"""
     updates_per_step: Annotated[float, Limits(above=0, most=1000)] = 1.0
     """gradient updates per agent step"""
     reset_after: Natural = 0

@@ -54,7 +54,8 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
     else:
         from nerf_rl.rl.agents.agent import find_agent
 
-        find_agent(config.algo, cloning=config.demonstrations > 0)
+        bounded = config.learner.bound_by_returns
+        find_agent(config.algo, cloning=config.demonstrations > 0, valuing=bounded)
     run = Path(config.out)
     if config.resume and not config.seeds:
         require_one_run(run)

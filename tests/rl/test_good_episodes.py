@@ -15,18 +15,14 @@ from nerf_rl.rl.experience.replay import Replay
 
 def episodes(good: GoodEpisodes, scores: list[float], rows: int = 5, oldest: int = 0) -> None:
     """Write episodes of two environments that run side by side, a row of each in turn."""
-    before = 0
     for first in range(0, len(scores), 2):
-        for _ in range(rows):
-            for env in range(2):
-                good.add(env, range(before, before + 1))
-                before += 1
+        begun = first * rows
         for env in range(2):
-            good.end(env, scores[first + env], oldest)
+            good.add(torch.arange(begun + env, begun + 2 * rows, 2), scores[first + env], oldest)
 
 
 def test_rows_of_the_best_tenth_are_drawn_and_no_others() -> None:
-    good = GoodEpisodes(2, 0.1)
+    good = GoodEpisodes(0.1)
     scores = [float(i) for i in range(20)]
     scores[7] = 100.0
     episodes(good, scores)
@@ -37,7 +33,7 @@ def test_rows_of_the_best_tenth_are_drawn_and_no_others() -> None:
 
 
 def test_few_episodes_have_no_best() -> None:
-    good = GoodEpisodes(2, 0.1)
+    good = GoodEpisodes(0.1)
     episodes(good, [1.0] * 8)
     assert len(good) == 0
     episodes(good, [1.0] * 2)
@@ -45,10 +41,10 @@ def test_few_episodes_have_no_best() -> None:
 
 
 def test_an_episode_that_memory_has_overwritten_is_forgotten() -> None:
-    good = GoodEpisodes(2, 0.1)
+    good = GoodEpisodes(0.1)
     episodes(good, [9.0, *[1.0] * 11], oldest=0)
     assert 0 in good.draw(100, torch.Generator()).tolist()
-    good.end(0, 0.0, oldest=1)
+    good.add(torch.zeros(0, dtype=torch.int64), 0.0, oldest=1)
     assert 0 not in good.draw(100, torch.Generator()).tolist()
 
 

@@ -26,7 +26,8 @@ def batch(size: int = 16, weight: torch.Tensor | None = None) -> Batch:
     o, n = torch.randn(size, 3, generator=g), torch.randn(size, 3, generator=g)
     action, reward = torch.rand(size, 2, generator=g), torch.randn(size, generator=g)
     weight = torch.ones(size) if weight is None else weight
-    return Batch(torch.arange(size), weight, o, action, reward, torch.full((size,), 0.9), n)
+    bound = torch.full((size,), torch.finfo(torch.float32).min)
+    return Batch(torch.arange(size), weight, o, action, reward, torch.full((size,), 0.9), n, bound)
 
 
 def parameters(module: torch.nn.Module) -> list[torch.Tensor]:

@@ -66,18 +66,27 @@ class CloningAgent(Agent, Protocol):
         """Take a step towards the demonstrations in memory; return what happened, with ``clone_error`` among it."""
 
 
+@runtime_checkable
+class ValuingAgent(Agent, Protocol):
+    """An algorithm whose targets can be bounded by what episodes brought."""
+
+    def value(self, observation: Float[ndarray, "O"]) -> float:
+        """Return the discounted rewards that are to be expected from an observation on."""
+
+
 AgentClass = Callable[..., Agent]
 """Makes an agent of sizes of observation and action, the keys of ``network`` and ``learner``, and a device."""
 
 AGENTS: dict[str, AgentClass] = {"ddpg": DDPG}
 
 
-def find_agent(name: str, cloning: bool = False) -> AgentClass:
+def find_agent(name: str, cloning: bool = False, valuing: bool = False) -> AgentClass:
     """Return an algorithm by its name, or one of the user's own by ``module:Class``.
 
     Args:
         name: of it.
         cloning: whether it has to be a :class:`CloningAgent`.
+        valuing: whether it has to be a :class:`ValuingAgent`.
 
     Raises:
         UserError: the module cannot be imported, or its class lacks what the loop asks for.
@@ -87,6 +96,7 @@ def find_agent(name: str, cloning: bool = False) -> AgentClass:
     found: AgentClass = find_named("algorithm", name)
     asked = [part for part in vars(Agent) if not part.startswith("_") and callable(getattr(Agent, part))]
     asked += ["clone"] if cloning else []
+    asked += ["value"] if valuing else []
     missing = [part for part in asked if not callable(getattr(found, part, None))]
     if missing:
         raise UserError(f"'{name}' is no algorithm: it lacks {', '.join(missing)}")

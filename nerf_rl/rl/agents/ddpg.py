@@ -99,6 +99,13 @@ class DDPG:
         """Return the policy's actions, without noise."""
         return self.actor(self.norm(torch.from_numpy(observation).to(self.device))).cpu().numpy()
 
+    @torch.no_grad()
+    def value(self, observation: Float[ndarray, "O"]) -> float:
+        """Return the discounted rewards, unscaled, that the targets expect from an observation on."""
+        standardised = self.norm(torch.from_numpy(observation).to(self.device))[None]
+        value = self.target_critic(standardised, self.target_actor(standardised))
+        return value.item() / self.learner.reward_scale
+
     def update_statistics(self, observation: Float[ndarray, "E O"]) -> None:
         """Take fresh observations into the statistics that standardise them."""
         if isinstance(self.norm, RunningNorm):
@@ -157,10 +164,14 @@ class DDPG:
         """Fit Q(s, a) to the n-step target; return metrics and the absolute temporal-difference errors.
 
         delta_i = sum_k gamma^k r_k + discount_i Q'(s_n, mu'(s_n)) - Q(s, a), loss = mean_i w_i delta_i^2.
+
+        The target is not less than the batch's bound: what follows a step was done once, so that a policy that knows
+        better than the present one can do it again (He et al. 2017, "optimality tightening").
         """
         with torch.no_grad():
             next_value = self.target_critic(batch.next_observation, self.target_actor(batch.next_observation))
             target = self.learner.reward_scale * batch.reward + batch.discount * next_value
+            target = target.maximum(self.learner.reward_scale * batch.bound)
         with self._gathering(self.critic):
             value = self.critic(batch.observation, batch.action)
         error = target - value

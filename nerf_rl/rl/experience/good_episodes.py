@@ -23,32 +23,25 @@ class GoodEpisodes:
     """The rows of the best share of all episodes, by return.
 
     Args:
-        envs: E; episodes of several environments are written at the same time.
         share: of the episodes that is good.
     """
 
-    def __init__(self, envs: int, share: float):
+    def __init__(self, share: float):
         self._share = share
-        self._open: list[list[Tensor]] = [[] for _ in range(envs)]
         self._closed: list[_Episode] = []
         self._good: Int[Tensor, "N"] = torch.zeros(0, dtype=torch.int64)
 
     def __len__(self) -> int:
         return len(self._good)
 
-    def add(self, env: int, rows: range) -> None:
-        """Note the rows of a running episode, by how many were stored before each."""
-        self._open[env].append(torch.arange(rows.start, rows.stop))
-
-    def end(self, env: int, score: float, oldest: int) -> None:
-        """Close an episode.
+    def add(self, rows: Int[Tensor, "N"], score: float, oldest: int) -> None:
+        """Take in an episode that is over.
 
         Args:
-            env: which of the environments.
-            score: the episode's return.
+            rows: of the episode, by how many were stored before each.
+            score: its return.
             oldest: how many rows were stored before the oldest one that is still in memory.
         """
-        rows, self._open[env] = torch.cat([*self._open[env], torch.zeros(0, dtype=torch.int64)]), []
         if len(rows):
             self._closed.append(_Episode(score, rows))
         self._closed = [episode for episode in self._closed if episode.rows[0] >= oldest]

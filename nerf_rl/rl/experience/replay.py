@@ -2,7 +2,7 @@
 
 import logging
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +19,9 @@ from nerf_rl.files.tensor_files import require_tensors, strip_prefix
 from nerf_rl.rl.config import ReplayConfig
 from nerf_rl.rl.experience.good_episodes import GoodEpisodes
 from nerf_rl.rl.experience.n_step import Transition
+from nerf_rl.rl.experience.returns_to_go import returns_to_go
+
+_UNKNOWN = torch.finfo(torch.float32).min  # finite, as all numbers of a checkpoint are
 
 logging.getLogger("torchrl").setLevel(logging.WARNING)
 
@@ -35,6 +38,8 @@ class Batch(NamedTuple):
     reward: Float[Tensor, "B"]
     discount: Float[Tensor, "B"]
     next_observation: Float[Tensor, "B O"]
+    bound: Float[Tensor, "B"]
+    """what the transition's episode brought from it on, discounted; the least number where nothing is known"""
 
 
 class Replay:
@@ -52,6 +57,7 @@ class Replay:
         seed: of the drawing.
         checkpoint_rows: rows that checkpoints hold beside memory, at most; for the room that they need on the disk.
         envs: environments whose episodes are told apart.
+        bounded_steps: that a transition spans, if what episodes brought is to be kept; 0 if it is not.
 
     Attributes:
         stored: how many rows have ever been stored; those still there are the last ``len(replay)`` of them.
@@ -71,6 +77,7 @@ class Replay:
         seed: int = 0,
         checkpoint_rows: int = 0,
         envs: int = 1,
+        bounded_steps: int = 0,
     ):
         self.prioritised = config.prioritised
         self._batch_size = batch_size
@@ -90,7 +97,10 @@ class Replay:
         self._buffer = ReplayBuffer(storage=self._storage, sampler=self._sampler, batch_size=batch_size)
         self._buffer.set_rng(self.generator)
         self._rows: Tensor | None = None
-        self._good = GoodEpisodes(envs, config.good_episodes)
+        self._running: list[list[Int[Tensor, "N"]]] = [[] for _ in range(envs)]
+        self._bounded_steps = bounded_steps
+        self._bounds = torch.full((config.capacity if bounded_steps else 0,), _UNKNOWN)
+        self._good = GoodEpisodes(config.good_episodes)
         self._good_count = round(config.good_share * batch_size)
         self._demonstrations: Float[Tensor, "D W"] = torch.zeros(0, sum(self._split))
         self._demonstration_count = round(config.demonstration_share * batch_size)
@@ -109,11 +119,20 @@ class Replay:
             before = self.stored
             self._extend(_rows(transitions))
             if env is not None:
-                self._good.add(env, range(before, self.stored))
+                self._running[env].append(torch.arange(before, self.stored))
 
-    def end_episode(self, env: int, score: float) -> None:
-        """Tell that an environment's episode is over, all its transitions being stored, and its return."""
-        self._good.end(env, score, self.oldest)
+    def end_episode(self, env: int, score: float, value: Callable[[Float[ndarray, "O"]], float] | None = None) -> None:
+        """Tell that an environment's episode is over, all its transitions being stored.
+
+        Args:
+            env: which of the environments.
+            score: the episode's return.
+            value: what is to be expected from an observation on, if bounds are kept; None while nobody knows.
+        """
+        stored, self._running[env] = torch.cat([*self._running[env], torch.zeros(0, dtype=torch.int64)]), []
+        self._good.add(stored, score, self.oldest)
+        if self._bounded_steps and value is not None and len(stored):
+            self._bound(stored, value)
 
     def demonstrate(self, transitions: Sequence[Transition]) -> None:
         """Keep transitions for good; from now on a share of each batch is drawn from them."""
@@ -204,6 +223,8 @@ class Replay:
             sampler = self._sampler.state_dict()
             state["powered_priority"] = torch.as_tensor(sampler["_sum_tree"][indices])
             state["max_priority"] = torch.as_tensor(self._sampler.default_priority, dtype=torch.float32)
+        if self._bounded_steps:
+            state["bound"] = self._bounds[: len(self)]
         if self.demonstrations:
             state["demonstrations"] = self._demonstrations
         return state | {f"good.{name}": tensor for name, tensor in self._good.state_dict().items()}
@@ -223,6 +244,8 @@ class Replay:
         like["generator"] = self.generator.get_state()
         if self.prioritised:
             like |= {"powered_priority": torch.zeros(rows), "max_priority": torch.zeros(())}
+        if self._bounded_steps:
+            like["bound"] = torch.zeros(rows)
         like |= {name: tensor.detach() for name, tensor in state.items() if name.startswith("good.")}
         if "demonstrations" in state:
             shown = len(state["demonstrations"]) if state["demonstrations"].dim() else 0
@@ -242,6 +265,8 @@ class Replay:
         self._demonstrations = state.get("demonstrations", self._demonstrations)
         self._extend(state["rows"].roll(stored % self._capacity, 0) if rows == self._capacity else state["rows"])
         self.stored = stored
+        if self._bounded_steps:
+            self._bounds[:rows] = state["bound"]
         self._buffer.writer.load_state_dict({"_cursor": stored % self._capacity})
         if self.prioritised:
             sampler = self._sampler.state_dict()
@@ -256,7 +281,18 @@ class Replay:
         self._rows = None
         shutil.rmtree(self._folder, ignore_errors=True)
 
+    def _bound(self, stored: Int[Tensor, "T"], value: Callable[[Float[ndarray, "O"]], float]) -> None:
+        """Keep what an episode brought from each of its rows on, of those that are still there."""
+        index = stored[stored >= self.oldest] % self._capacity
+        parts = self._gather_rows(index).split(self._split, dim=-1)
+        reward, discount, next_observation = (part.numpy() for part in parts[2:])
+        last_value = value(next_observation[-1])
+        found = returns_to_go(reward[:, 0], discount[:, 0], self._bounded_steps, last_value)
+        self._bounds[index] = torch.from_numpy(found).float()
+
     def _extend(self, rows: Tensor) -> None:
+        if self._bounded_steps:
+            self._bounds[torch.arange(self.stored, self.stored + len(rows)) % self._capacity] = _UNKNOWN
         self._buffer.extend(rows)
         self.stored += len(rows)
         if self._rows is None:
@@ -275,9 +311,17 @@ class Replay:
         places = torch.randint(self.demonstrations, (count,), generator=self.generator)
         return places, self._demonstrations.index_select(0, places)
 
+    def _bounds_of(self, index: Int[Tensor, "B"]) -> Float[Tensor, "B"]:
+        """Return the bounds of rows; there are none of demonstrations."""
+        if not self._bounded_steps:
+            return torch.full((len(index),), _UNKNOWN)
+        own = index < self._capacity
+        return torch.where(own, self._bounds[index.where(own, 0)], _UNKNOWN)
+
     def _batch(self, index: Tensor, weight: Tensor, rows: Tensor) -> Batch:
         observation, action, reward, discount, next_observation = rows.split(self._split, dim=-1)
-        return Batch(index, weight, observation, action, reward.squeeze(-1), discount.squeeze(-1), next_observation)
+        step = (observation, action, reward.squeeze(-1), discount.squeeze(-1), next_observation)
+        return Batch(index, weight, *step, self._bounds_of(index))
 
 
 def _rows(transitions: Sequence[Transition]) -> Float[Tensor, "N W"]:

@@ -1,6 +1,7 @@
 """The training loop: workers step and render while the learner updates."""
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from nerf_rl.files.tensor_files import require_tensors, strip_prefix
 from nerf_rl.loggers import make_loggers
 from nerf_rl.machine.devices import resolve_device
 from nerf_rl.progress import Progress
-from nerf_rl.rl.agents.agent import make_agent
+from nerf_rl.rl.agents.agent import ValuingAgent, make_agent
 from nerf_rl.rl.config import TrainRLConfig
 from nerf_rl.rl.environments.goals import GoalTask
 from nerf_rl.rl.environments.make import reset_some
@@ -66,7 +67,10 @@ class Trainer:
         self.agent = make_agent(config, self.observation_size, self.action_size, resolve_device(config.device))
         self._checkpoint = last_checkpoint(run) if config.resume else None
         sizes = (self.observation_size, self.action_size, learner.batch_size)
-        self.replay = Replay(config.replay, *sizes, run / "replay", config.seed, self._checkpoint_rows(), count)
+        bounded = learner.n_step if learner.bound_by_returns else 0
+        self.replay = Replay(
+            config.replay, *sizes, run / "replay", config.seed, self._checkpoint_rows(), count, bounded
+        )
         steps = -(-config.episode_steps // config.action_repeat)
         self._noise = Noise(config.noise, count, self.action_size, steps, self._rng)
         held = (config.noise.epsilon_z_steps, self._rng, config.noise.epsilon_z_kind)
@@ -140,7 +144,7 @@ class Trainer:
                 last_log, last_updates, last_seconds = self.env_steps, self.agent.updates, self.seconds
         for env, n_step in enumerate(self._n_steps):
             self.replay.add(n_step.cut(), env)
-            self.replay.end_episode(env, self._returns[env])
+            self.replay.end_episode(env, self._returns[env], self._value())
         for hindsight in self._hindsight:
             self.replay.add(hindsight.cut())
         self.episodes += int((self._length > 0).sum())
@@ -262,7 +266,7 @@ class Trainer:
             return next_observation
         for env in np.flatnonzero(done).tolist():
             self.episodes += 1
-            self.replay.end_episode(env, self._returns[env])
+            self.replay.end_episode(env, self._returns[env], self._value())
             success = bool(self._success[env]) if "success" in info else None
             self._monitor.end_episode(self.env_steps, float(self._returns[env]), success)
             self._zoo.add_episode(
@@ -297,6 +301,10 @@ class Trainer:
         while self._credit >= 1.0:
             self.metrics.gather(self.agent.update(self.replay, self._beta()))
             self._credit -= 1.0
+
+    def _value(self) -> Callable[[ndarray], float] | None:
+        """Return what tells the worth of an observation, once the agent has learnt anything."""
+        return self.agent.value if self.agent.updates and isinstance(self.agent, ValuingAgent) else None
 
     def _beta(self) -> float:
         return linear_schedule(self._config.replay.beta, 1.0, self._config.env_steps, self.env_steps)
