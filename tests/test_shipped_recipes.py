@@ -48,6 +48,8 @@ def test_every_training_recipe_is_run():
 def test_a_training_recipe_trains(recipe: str, tiny_encoder: Path, tmp_path: Path):
     if recipe.startswith("panda"):
         pytest.importorskip("panda_gym", exc_type=ImportError)
+    if recipe == "gym-goal":
+        pytest.importorskip("gymnasium_robotics")
     if recipe.endswith(("ppo", "sb3-ddpg")):
         pytest.importorskip("stable_baselines3")
     encoder = ["--encoder", str(tiny_encoder)] if recipe == "demo" else []

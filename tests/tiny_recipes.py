@@ -60,6 +60,7 @@ STEPS_OF_RECIPE = {
     "drawer-open": ["--env_steps", "700", "--warmup_steps", "560"],
     "drawer-open-ppo": ["--env_steps", "240", "--warmup_steps", "100", "--ppo.n_steps", "50", "--ppo.batch_size", "50"],
     "gym": ["--env_steps", "400", "--warmup_steps", "300"],
+    "gym-goal": ["--env_steps", "300", "--warmup_steps", "200"],
     "panda-reach-ppo": [
         "--env_steps",
         "240",
