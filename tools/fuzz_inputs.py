@@ -21,7 +21,7 @@ from typing import Any
 
 from fuzz_targets import EXECUTED, HANG, KINDS, MEMORY, OUTCOMES, TRACEBACK, Base, Targets
 
-from nerf_rl.files.json_files import write_json
+from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.versions import git_revision, package_versions
 
 RESULTS = Path(__file__).parent / "results" / "fuzz.json"
@@ -73,7 +73,7 @@ network: {hidden: [16, 16]}
 
 
 def main() -> None:
-    """Mutate, count, print the table and write the file."""
+    """Mutate, count and print; write the file after each kind, in which those of before stay."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=1000, help="mutations of each kind")
     parser.add_argument("--seed", default="0", help="of the mutations")
@@ -83,27 +83,25 @@ def main() -> None:
     parser.add_argument("--base", type=Path, help="folder with the good files; made if it does not exist")
     parser.add_argument("--out", type=Path, default=RESULTS)
     arguments = parser.parse_args()
-    started = time.monotonic()
+    numbers, bad = range(arguments.first, arguments.first + arguments.count), 0
+    runs = read_json(arguments.out)["runs"] if arguments.out.exists() else {}
     with tempfile.TemporaryDirectory() as folder:
         base = make_base(arguments.base or Path(folder) / "base")
-        numbers = range(arguments.first, arguments.first + arguments.count)
-        table, examples = fuzz(base, arguments.kinds, numbers, arguments.seed, arguments.every, show=True)
-    print(in_words(table))
-    write_json(
-        arguments.out,
-        {
-            "command": ["tools/fuzz_inputs.py", *sys.argv[1:]],
-            "git_revision": git_revision(),
-            "packages": package_versions(),
-            "seed": arguments.seed,
-            "count": arguments.count,
-            "seconds": round(time.monotonic() - started),
-            "limits": {"seconds": SECONDS, "megabytes": MEGABYTES},
-            "table": table,
-            "examples": examples,
-        },
-    )
-    bad = sum(counts[outcome] for counts in table.values() for outcome in OUTCOMES[2:])
+        for kind in arguments.kinds:
+            started = time.monotonic()
+            table, examples = fuzz(base, [kind], numbers, arguments.seed, arguments.every, show=True)
+            print(in_words(table), flush=True)
+            runs[kind] = {
+                "command": f"tools/fuzz_inputs.py --kinds {kind} --count {arguments.count} --every {arguments.every}",
+                "git_revision": git_revision(),
+                "seed": arguments.seed,
+                "seconds": round(time.monotonic() - started),
+                **table[kind],
+                **({"examples": examples} if examples else {}),
+            }
+            limits = {"seconds": SECONDS, "megabytes": MEGABYTES}
+            write_json(arguments.out, {"packages": package_versions(), "limits": limits, "runs": runs})
+            bad += sum(table[kind][outcome] for outcome in OUTCOMES[2:])
     sys.exit(1 if bad else 0)
 
 
