@@ -1,0 +1,98 @@
+"""Compare an agent's recipe with itself, some of its keys otherwise, over the same seeds: a result file and a table.
+
+Run from a checkout's root; seeds that are finished are not trained again:
+
+    .venv/bin/python tools/compare_agents.py --seeds 20..29
+    .venv/bin/python tools/compare_agents.py --seeds 0..4 --encoder runs/demo/encoder
+"""
+
+import argparse
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from compare_precision import processor
+from record_demo import markdown_table, replace_tables
+
+from nerf_rl.files.atomic import write_text
+from nerf_rl.files.json_files import read_json, write_json
+from nerf_rl.files.outputs import PROVENANCE, SUMMARY
+from nerf_rl.rl.sweeps.runs import GOOD, read_run, run_folder
+from nerf_rl.rl.sweeps.seed_list import parse_seeds
+from nerf_rl.rl.training.evaluation_results import SUCCESS
+
+RESULT, README, RECIPE = Path("rl/results/ablation.json"), Path("rl/README.md"), "rl/demo.yaml"
+KEYS = ["--evaluation_every", "10000", "--evaluation_episodes", "2", "--final_evaluation_episodes", "50"]
+KEYS += ["--checkpoint_every", "30000"]
+ARMS = {
+    "the recipe": [],
+    "targets without bounds": ["--learner.bound_by_returns", "false"],
+}
+"""what is done otherwise, and the keys for it"""
+
+
+def main() -> None:
+    """Train what is missing, then write what is known of all that was ever compared."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", default="metaworld/drawer-open-v3")
+    parser.add_argument("--encoder", default="", help="what the agents see by; none for the true state")
+    parser.add_argument("--seeds", default="0..9", help="as train-rl takes them")
+    parser.add_argument("--arms", nargs="*", choices=ARMS, default=list(ARMS))
+    parser.add_argument("--work", type=Path, default=Path("runs/agents"), help="folder of the runs")
+    arguments = parser.parse_args()
+    eyes = "latents" if arguments.encoder else "state"
+    for arm in arguments.arms:
+        folder = arguments.work / f"{Path(arguments.scene).name}-{eyes}" / arm.replace(" ", "-")
+        runs = [run_folder(folder, seed) for seed in parse_seeds(arguments.seeds)]
+        if not all((run / SUMMARY).exists() for run in runs):
+            keys = [*KEYS, *ARMS[arm], *(["--encoder", arguments.encoder] if arguments.encoder else [])]
+            train(["--scene", arguments.scene, *keys, "--seeds", arguments.seeds, "--out", str(folder)])
+        record(arguments.scene, eyes, arm, [row(run) for run in runs])
+
+
+def train(arguments: list[str]) -> None:
+    """Train the seeds of a sweep that are missing."""
+    command = ["nerf-rl", "train-rl", "--config", RECIPE, *arguments, "--resume", "true"]
+    subprocess.run([sys.executable, "-m", "nerf_rl.cli", *command[1:]], check=True)
+
+
+def row(run: Path) -> dict[str, Any]:
+    """Return what is told of a run, with its revision and versions."""
+    provenance = read_json(run / PROVENANCE)
+    return {**read_run(run), **{name: provenance[name] for name in ("git_revision", "packages")}}
+
+
+def record(scene: str, eyes: str, arm: str, runs: list[dict[str, Any]]) -> None:
+    """Put runs in place of those of the same seeds, and write file and table."""
+    known = read_json(RESULT)["arms"] if RESULT.exists() else []
+    same = [each for each in known if (each["scene"], each["eyes"], each["arm"]) == (scene, eyes, arm)]
+    kept = {run["seed"]: run for each in same for run in each["runs"]} | {run["seed"]: run for run in runs}
+    own = {"scene": scene, "eyes": eyes, "arm": arm, "keys": ARMS[arm], "processor": processor()}
+    own["runs"] = [kept[seed] for seed in sorted(kept)]
+    order = list(ARMS)
+    arms = sorted(
+        [*(each for each in known if each not in same), own],
+        key=lambda each: (each["scene"], each["eyes"], order.index(each["arm"])),
+    )
+    command = f"tools/compare_agents.py; {RECIPE} {' '.join(KEYS)}"
+    write_json(RESULT, {"command": command, "arms": arms})
+    write_text(README, replace_tables(README.read_text(), {"agents": table(arms)}))
+
+
+def table(arms: list[dict[str, Any]]) -> str:
+    """Return a row for each arm: how often each seed succeeds at the end, the worst first."""
+    rows = []
+    for arm in arms:
+        last = sorted(run["evaluations"][-1][SUCCESS] for run in arm["runs"])
+        seeds = sorted(run["seed"] for run in arm["runs"])
+        task = arm["scene"].removeprefix("metaworld/").removesuffix("-v3")
+        told = [f"{sum(last) / len(last):.0%}", f"{sum(rate >= GOOD for rate in last)} of {len(last)}"]
+        rates = ", ".join(f"{100 * rate:.0f}" for rate in last)
+        rows.append([task, arm["eyes"], arm["arm"], ", ".join(map(str, seeds)), *told, rates])
+    header = ["task", "from", "agent", "seeds", "success, mean", f"seeds at {GOOD:.0%}", "success of each, sorted [%]"]
+    return markdown_table(header, rows)
+
+
+if __name__ == "__main__":
+    main()
