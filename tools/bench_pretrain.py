@@ -15,7 +15,7 @@ from typing import Any
 
 from compare_precision import ENDLESS, processor
 from compare_tasks import command
-from record_demo import markdown_table, replace_tables
+from readme_tables import markdown_table, replace_tables
 
 from nerf_rl.arguments.parsing import parse_config
 from nerf_rl.datasets.storage.reader import MultiViewDataset

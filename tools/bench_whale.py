@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from classical_functions import CLASSICAL, Classical
-from record_demo import markdown_table, replace_tables
+from readme_tables import markdown_table, replace_tables
 
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import write_json

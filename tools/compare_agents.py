@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from compare_precision import processor
-from record_demo import markdown_table, replace_tables
+from readme_tables import markdown_table, replace_tables
 
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json

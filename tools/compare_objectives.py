@@ -11,9 +11,10 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+import record_choices
 from compare_precision import ENDLESS, RECIPE
 from compare_tasks import command, made_by
-from record_demo import markdown_table, replace_tables
+from readme_tables import markdown_table, replace_tables
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.files.atomic import write_text
@@ -66,6 +67,7 @@ def add(row: dict[str, Any], file: Path) -> None:
     write_json(file, {"command": words, "recipes": [RECIPE, str(FOLDER)], "runs": rows})
     if file == RESULT:
         write_text(README, replace_tables(README.read_text(), {"objectives": table(rows)}))
+        record_choices.main()
 
 
 def table(rows: list[dict[str, Any]]) -> str:

@@ -22,7 +22,7 @@ from typing import Any
 
 import yaml
 from matplotlib.figure import Figure
-from record_demo import markdown_table, replace_tables
+from readme_tables import markdown_table, replace_tables
 
 from nerf_rl.files.atomic import atomic_write, write_text
 from nerf_rl.files.json_files import read_json, write_json

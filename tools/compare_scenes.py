@@ -21,7 +21,7 @@ import numpy as np
 import yaml
 from compare_precision import processor
 from numpy import ndarray
-from record_demo import markdown_table, replace_tables
+from readme_tables import markdown_table, replace_tables
 
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json

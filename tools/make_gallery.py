@@ -15,7 +15,7 @@ import numpy as np
 from bench_scenes import metaworld_tasks
 from jaxtyping import UInt8
 from numpy import ndarray
-from record_demo import replace_tables
+from readme_tables import replace_tables
 
 from nerf_rl.cameras.geometry import intrinsics_from_fovy, look_at
 from nerf_rl.files.atomic import atomic_write, write_text

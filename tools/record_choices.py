@@ -8,7 +8,7 @@ from statistics import mean
 from typing import Any
 
 import yaml
-from record_demo import markdown_table, replace_tables
+from readme_tables import markdown_table, replace_tables
 
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json

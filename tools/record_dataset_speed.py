@@ -1,4 +1,4 @@
-"""Write the tables of datasets/README.md from the results of its benchmarks.
+"""Write the tables of datasets/README.md from the results of its benchmarks, and those of docs/choosing.md.
 
 Run from a checkout's root:
 
@@ -7,7 +7,8 @@ Run from a checkout's root:
 
 from pathlib import Path
 
-from record_demo import markdown_table, replace_tables
+import record_choices
+from readme_tables import markdown_table, replace_tables
 
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json
@@ -24,6 +25,7 @@ def main() -> None:
         "view": view_table(read_json(RESULTS / "view.json")),
     }
     write_text(README, replace_tables(README.read_text(), tables))
+    record_choices.main()
 
 
 def render_table(result: dict) -> str:

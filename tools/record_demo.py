@@ -7,11 +7,11 @@ Run from the root of the checkout that made it, with what `make demo` printed an
 
 import argparse
 import os
-import re
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import cv2
+import record_choices
+from readme_tables import markdown_table, replace_tables
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.files.atomic import write_text
@@ -56,25 +56,12 @@ def main() -> None:
     }
     for readme in (Path("README.md"), *(Path(stage) / "README.md" for stage in STAGES)):
         write_text(readme, replace_tables(readme.read_text(), tables))
+    record_choices.main()
 
 
 def read_result(run: Path) -> dict:
     """Return the summary of a finished run, with its provenance."""
     return {**read_json(run / SUMMARY), "provenance": read_json(run / PROVENANCE)}
-
-
-def markdown_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table."""
-    lines = [f"| {' | '.join(header)} |", f"|{'---|' * len(header)}"]
-    return "\n".join(lines + [f"| {' | '.join(map(str, row))} |" for row in rows])
-
-
-def replace_tables(text: str, tables: dict[str, str]) -> str:
-    """Return a README's text with the tables between markers replaced; those without a marker are left out."""
-    for name, table in tables.items():
-        pattern = rf"(<!-- table: {name} -->\n).*?(<!-- end -->)"
-        text = re.sub(pattern, lambda match, table=table: f"{match[1]}{table}\n{match[2]}", text, flags=re.DOTALL)
-    return text
 
 
 def demo_table(results: dict, setup_seconds: float, total_seconds: float) -> str:

@@ -13,7 +13,8 @@ from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from record_demo import markdown_table, read_result, replace_tables
+from readme_tables import markdown_table, replace_tables
+from record_demo import read_result
 from run_paper import Run, read_experiments, runs_of
 
 from nerf_rl.files.atomic import atomic_write, write_text

@@ -12,7 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from record_demo import markdown_table, read_result, replace_tables
+from readme_tables import markdown_table, replace_tables
+from record_demo import read_result
 
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
