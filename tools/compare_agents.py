@@ -1,5 +1,7 @@
 """Compare an agent's recipe with itself, some of its keys otherwise, over the same seeds: a result file and a table.
 
+Blind agents stand beside those that see by an encoder: what they reach needs no eyes.
+
 Run from a checkout's root; seeds that are finished are not trained again:
 
     .venv/bin/python tools/compare_agents.py --seeds 20..29
@@ -28,6 +30,7 @@ KEYS += ["--checkpoint_every", "30000"]
 ARMS = {
     "the recipe": [],
     "targets without bounds": ["--learner.bound_by_returns", "false"],
+    "blind": ["--control", "blind"],
 }
 """what is done otherwise, and the keys for it"""
 
@@ -38,11 +41,11 @@ def main() -> None:
     parser.add_argument("--scene", default="metaworld/drawer-open-v3")
     parser.add_argument("--encoder", default="", help="what the agents see by; none for the true state")
     parser.add_argument("--seeds", default="0..9", help="as train-rl takes them")
-    parser.add_argument("--arms", nargs="*", choices=ARMS, default=list(ARMS))
+    parser.add_argument("--arms", nargs="+", choices=ARMS, default=list(ARMS), help="of the state, all but blind")
     parser.add_argument("--work", type=Path, default=Path("runs/agents"), help="folder of the runs")
     arguments = parser.parse_args()
     eyes = "latents" if arguments.encoder else "state"
-    for arm in arguments.arms:
+    for arm in (arm for arm in arguments.arms if arguments.encoder or "--control" not in ARMS[arm]):
         folder = arguments.work / f"{Path(arguments.scene).name}-{eyes}" / arm.replace(" ", "-")
         runs = [run_folder(folder, seed) for seed in parse_seeds(arguments.seeds)]
         if not all((run / SUMMARY).exists() for run in runs):
