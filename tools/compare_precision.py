@@ -26,30 +26,32 @@ from nerf_rl.files.versions import git_revision, package_versions
 
 RESULT, README, RECIPE = Path("pretrain/results/precision.json"), Path("pretrain/README.md"), "pretrain/demo.yaml"
 PRECISIONS = ("32", "bf16")
+COMMAND = "tools/compare_precision.py DATASETS --minutes MINUTES --seeds SEEDS"
 ENDLESS = "1000000"  # steps: the minutes end the run
 
 
 def main() -> None:
-    """Run the pairs one after another; write what is known after each."""
+    """Run the pairs one after another; write what is known after each, in place of this processor's runs before."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", nargs="+", type=Path, help="datasets of 64 x 64 pixels, such as data/demo")
     parser.add_argument("--minutes", type=float, default=8.5)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     arguments = parser.parse_args()
-    head = {
-        "command": " ".join(["tools/compare_precision.py", *sys.argv[1:]]),
+    own = {
+        "processor": processor(),
         "git_revision": git_revision(),
         "packages": package_versions(),
-        "processor": processor(),
-        "recipe": RECIPE,
         "minutes": arguments.minutes,
     }
+    known = read_json(RESULT)["machines"] if RESULT.exists() else []
+    others = [machine for machine in known if machine["processor"] != own["processor"]]
     runs: list[dict[str, Any]] = []
     for data in arguments.data:
         for seed in arguments.seeds:
             runs += pair(data, seed, arguments.minutes)
-            write_json(RESULT, {**head, "runs": runs})
-    write_text(README, replace_tables(README.read_text(), {"precision": table(runs)}))
+            machines = [*others, {**own, "runs": runs}]
+            write_json(RESULT, {"command": COMMAND, "recipe": RECIPE, "machines": machines})
+            write_text(README, replace_tables(README.read_text(), {"precision": table(machines)}))
 
 
 def pair(data: Path, seed: int, minutes: float) -> list[dict[str, Any]]:
@@ -72,29 +74,19 @@ def pair(data: Path, seed: int, minutes: float) -> list[dict[str, Any]]:
     return [{"scene": scene, "seed": seed, **summary} for summary in summaries]
 
 
-def table(runs: list[dict[str, Any]]) -> str:
-    """Return a row for each run."""
-    header = ["scene", "seed", "precision", "steps", "steps/s", "PSNR [dB]", "mIoU", "depth error [cm]", "probe [mm]"]
+def table(machines: list[dict[str, Any]]) -> str:
+    """Return a row for each run on each processor."""
+    header = ["processor", "scene", "seed", "precision", "steps/s", "PSNR [dB]", "mIoU", "depth error [cm]"]
     rows = []
-    for run in runs:
+    for run in ({**run, "processor": machine["processor"]} for machine in machines for run in machine["runs"]):
         figures = run["validation"]
         probe = ", ".join(
             f"{name} {figure['rmse_mm']:.1f}" for name, figure in run["probe"].items() if not name.startswith("goal")
         )
-        rows.append(
-            [
-                run["scene"].removeprefix("metaworld/"),
-                run["seed"],
-                run["precision"],
-                f"{run['steps']:,}",
-                f"{run['steps'] / run['training_seconds']:.1f}",
-                f"{figures['psnr_db']:.1f}",
-                f"{figures['miou']:.2f}",
-                f"{100 * figures['depth_mae_m']:.1f}",
-                probe,
-            ]
-        )
-    return markdown_table(header, rows)
+        quality = f"{figures['psnr_db']:.1f}", f"{figures['miou']:.2f}", f"{100 * figures['depth_mae_m']:.1f}"
+        what = run["processor"], run["scene"].removeprefix("metaworld/"), run["seed"], run["precision"]
+        rows.append([*what, f"{run['steps'] / run['training_seconds']:.1f}", *quality, probe])
+    return markdown_table([*header, "probe [mm]"], rows)
 
 
 def processor() -> str:
