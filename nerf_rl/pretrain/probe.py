@@ -8,6 +8,7 @@ from nerf_rl.errors import UserError
 from nerf_rl.files.json_files import write_json
 from nerf_rl.files.outputs import SUMMARY, prepare_output, write_provenance
 from nerf_rl.machine.devices import check_device, resolve_device
+from nerf_rl.machine.threads import wait_passively
 from nerf_rl.pretrain.config import ProbeConfig
 from nerf_rl.pretrain.model.encoder_file import read_description
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
@@ -24,6 +25,7 @@ def probe(config: ProbeConfig) -> None:
         raise UserError(f"{config.data} has no columns of the true state, so there is nothing to read from a latent")
     _, description = read_description(config.encoder)
     EncoderRig.from_json(description["rig"]).require_same(EncoderRig.of_dataset(dataset))
+    wait_passively()
     check_device(config.device)
     if config.out is not None:
         prepare_output(Path(config.out), config.overwrite)
