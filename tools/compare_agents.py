@@ -30,6 +30,8 @@ KEYS += ["--checkpoint_every", "30000"]
 ARMS = {
     "the recipe": [],
     "targets without bounds": ["--learner.bound_by_returns", "false"],
+    "exploration that does not wait": ["--noise.wait_for_success", "false"],
+    "neither": ["--learner.bound_by_returns", "false", "--noise.wait_for_success", "false"],
     "blind": ["--control", "blind"],
 }
 """what is done otherwise, and the keys for it"""

@@ -53,7 +53,7 @@ class NetworkConfig:
 
 @dataclass
 class NoiseConfig:
-    """Exploration noise on actions in [-1, 1]; its standard deviation falls linearly."""
+    """Exploration noise on actions in [-1, 1], and random ones that are held; both become less, linearly."""
 
     kind: Literal["gaussian", "ou", "pink"] = "pink"
     """gaussian (independent in time), ou (Ornstein-Uhlenbeck) or pink (correlated at all time scales)"""
@@ -63,6 +63,8 @@ class NoiseConfig:
     """standard deviation after decay_steps"""
     decay_steps: Count = 30_000
     """environment steps from start to end"""
+    wait_for_success: bool = False
+    """let exploration become less only from the first success of a training episode on, where the scene tells of it"""
     theta: PositiveShare = 0.15
     """ou only: share of the noise that is forgotten in each step"""
     epsilon_z: ShareBelowOne = 0.1

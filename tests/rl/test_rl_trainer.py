@@ -2,6 +2,7 @@
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -116,6 +117,39 @@ def test_a_checkpoint_with_an_impossible_random_state_is_told_of(envs: AsyncVect
     write_tensors(path, tensors | {"torch_rng": torch.full_like(tensors["torch_rng"], 255)})
     with pytest.raises(UserError, match="00000072 is damaged"):
         Trainer(config(tmp_path, resume=True), envs, tmp_path)
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_exploration_waits_for_a_success_where_the_scene_tells_of_it(
+    told: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So that an agent which found a place of rest first still looks further; a resumed run does so, too."""
+    envs = point_envs(2, steps=12, repeat=2)
+    step = envs.step_wait
+
+    def never(*arguments: Any, **keys: Any) -> Any:
+        *rest, info = step(*arguments, **keys)
+        success = {"success": np.zeros(2, np.bool_)} if told else {}
+        return (*rest, {key: value for key, value in info.items() if key != "success"} | success)
+
+    made = config(tmp_path)
+    made.noise.wait_for_success = True
+    try:
+        monkeypatch.setattr(envs, "step_wait", never)
+        trainer = Trainer(made, envs, tmp_path)
+        train(trainer, 600)
+        assert trainer._noise.scale(trainer._explored) == (1.0 if told else pytest.approx(1.0 - 0.95 * 600 / 1500))
+        trainer.save()
+        trainer.replay.close()
+        monkeypatch.setattr(envs, "step_wait", step)
+        made.resume = True
+        resumed = Trainer(made, envs, tmp_path)
+        before = resumed._explored
+        train(resumed, 1500)  # by then there was a success, as a point on a line cannot help it
+        assert before == (0 if told else 600) and before + 300 < resumed._explored <= before + 900
+        resumed.replay.close()
+    finally:
+        envs.close(terminate=True)
 
 
 def test_an_agent_that_stays_stuck_starts_anew_from_its_memory_and_a_resumed_run_does_so_too(

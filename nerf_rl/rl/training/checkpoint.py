@@ -41,6 +41,7 @@ _STRUCTURE = mapping(
         "evaluations": EVALUATIONS,
     },
     {
+        "awaits_success": flag,
         "demonstrations": mapping({**dict.fromkeys(("episodes", "tries", "env_steps"), whole(1)), "cloned": flag}),
     },
     others=True,

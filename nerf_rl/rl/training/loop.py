@@ -80,6 +80,7 @@ class Trainer:
         self._length = np.zeros(count, np.int64)
         self._episode_index, self._returns, self._success = [0] * count, np.zeros(count), np.zeros(count, np.bool_)
         self.env_steps, self.episodes, self._credit, self._explored_from = 0, 0, 0.0, 0
+        self._awaits_success = config.noise.wait_for_success
         self._seconds_before, self._start = 0.0, time.monotonic()
         self.evaluations: list[dict[str, Any]] = []
         self._monitor = DeadlockMonitor()
@@ -107,8 +108,8 @@ class Trainer:
 
     @property
     def _explored(self) -> int:
-        """Environment steps since exploration began, or began anew."""
-        return self.env_steps - self._explored_from
+        """Environment steps since exploration began, or began anew, to fall."""
+        return 0 if self._awaits_success else self.env_steps - self._explored_from
 
     def demonstrate(self, progress: Progress) -> None:
         """Have the demonstrations acted that the run asks for, unless a checkpoint held them.
@@ -176,6 +177,7 @@ class Trainer:
             "evaluations": self.evaluations,
             "monitor": self._monitor.state_dict(),
             "explored_from": self._explored_from,
+            "awaits_success": self._awaits_success,
             **self.demonstrations.state_dict(),
         }
         before = self._checkpoint
@@ -209,6 +211,7 @@ class Trainer:
         self._rng.bit_generator.state = facts["rng"]
         self._monitor.load_state_dict(facts["monitor"])
         self._explored_from = facts["explored_from"]
+        self._awaits_success = facts.get("awaits_success", False)
         self.demonstrations.load_state_dict(facts, self.replay, checkpoint)
 
     def _checkpoint_rows(self) -> int:
@@ -269,6 +272,9 @@ class Trainer:
             self.replay.end_episode(env, self._returns[env], self._value())
             success = bool(self._success[env]) if "success" in info else None
             self._monitor.end_episode(self.env_steps, float(self._returns[env]), success)
+            if self._awaits_success and success is not False:  # or the scene does not tell
+                self._awaits_success = False
+                self._explored_from = self.env_steps if success else self._explored_from
             self._zoo.add_episode(
                 float(self._returns[env]), int(self._length[env]), self.seconds, success, self.env_steps
             )
@@ -326,7 +332,7 @@ class Trainer:
         self.demonstrations.forget()
         self._credit += self._config.learner.reset_updates
         self._monitor.forgive(self.env_steps)
-        self._explored_from = self.env_steps
+        self._explored_from, self._awaits_success = self.env_steps, self._config.noise.wait_for_success
 
     def _log(self, updates_per_second: float) -> None:
         if self.agent.updates:
