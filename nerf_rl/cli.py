@@ -12,6 +12,7 @@ from typing import Any
 
 from nerf_rl import __version__
 from nerf_rl.errors import FailureError, UnknownNameError, UserError
+from nerf_rl.files.folder_lock import release_folders
 
 _LONGEST_SENTENCE = 4000  # characters; lists of what is available are long
 
@@ -136,6 +137,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception:
         traceback.print_exc()
         return 1
+    finally:
+        release_folders()
     return 0
 
 

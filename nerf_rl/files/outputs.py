@@ -11,6 +11,7 @@ import yaml
 from nerf_rl import __version__
 from nerf_rl.errors import OutputExistsError
 from nerf_rl.files.atomic import write_text
+from nerf_rl.files.folder_lock import hold_folder
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.versions import git_revision, package_versions
 
@@ -47,11 +48,16 @@ def check_output(
 def prepare_output(
     folder: Path, overwrite: bool, resume: bool = False, can_resume: bool = False, command: str = ""
 ) -> None:
-    """Create an output folder, or empty or keep an existing one, after :func:`check_output`."""
+    """Create an output folder, or empty or keep an existing one, after :func:`check_output`, and hold it.
+
+    Raises:
+        UserError: another process writes to it.
+    """
     check_output(folder, overwrite, resume, can_resume, command)
+    folder.mkdir(parents=True, exist_ok=True)
+    hold_folder(folder)
     if _in_use(folder) and not (resume and can_resume):
         _empty(folder)
-    folder.mkdir(parents=True, exist_ok=True)
 
 
 def _in_use(folder: Path) -> bool:

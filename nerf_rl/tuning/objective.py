@@ -9,6 +9,7 @@ import optuna
 from optuna.trial import Trial, TrialState
 
 from nerf_rl.errors import UserError
+from nerf_rl.files.folder_lock import release_folders
 from nerf_rl.tuning.config import TuneConfig
 from nerf_rl.tuning.recipe import trial_config
 
@@ -63,7 +64,10 @@ class TrainingObjective:
                 if evaluation["env_steps"] < run.env_steps and trial.should_prune():
                     raise optuna.TrialPruned
 
-        return train_rl(run, report)
+        try:
+            return train_rl(run, report)
+        finally:
+            release_folders()
 
 
 def runs_of(out: str) -> Path:
