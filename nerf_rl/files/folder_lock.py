@@ -1,4 +1,4 @@
-"""One process at a time writes to an output folder."""
+"""One process at a time writes to an output folder, by locks of the system's."""
 
 import contextlib
 import fcntl
@@ -29,7 +29,7 @@ def hold_folder(folder: Path) -> None:
         os.close(descriptor)
         return
     try:
-        locked = _lock(descriptor)
+        locked = lock(descriptor, _PATIENCE)
     except OSError:  # a file system without locks
         os.close(descriptor)
         return
@@ -45,12 +45,13 @@ def release_folders() -> None:
         os.close(_held.popitem()[1])
 
 
-def _lock(descriptor: int) -> bool:
+def lock(descriptor: int, patience: float) -> bool:
+    """Lock an open file or folder; return whether that was possible within ``patience`` seconds."""
     start = time.monotonic()
     while True:
         with contextlib.suppress(BlockingIOError):
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return True
-        if time.monotonic() - start > _PATIENCE:
+        if time.monotonic() - start > patience:
             return False
         time.sleep(0.1)

@@ -1,12 +1,9 @@
 """Training seeds side by side: each in a process of its own, on this machine or on a Ray cluster."""
 
-import contextlib
-import fcntl
 import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Collection, Generator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +12,7 @@ import joblib
 from joblib import delayed
 
 from nerf_rl.errors import FailureError
+from nerf_rl.files.folder_lock import lock
 from nerf_rl.machine.worker_pools import MOST_DEATHS, Backend, as_they_end, open_backend, through_deaths
 from nerf_rl.rl.config import TrainRLConfig
 from nerf_rl.rl.sweeps.runs import run_folder
@@ -91,7 +89,9 @@ def train_seed(out: str, seed: int, threads: int, folder: str) -> SeedEnd:
         log = log_of(Path(out), seed)
         log.parent.mkdir(parents=True, exist_ok=True)
         with open(log, "ab") as file:
-            if not _alone(file.fileno()):
+            # the seed's process, and those of its environments, write to the same open file, and the lock is held until
+            # the last of them has gone: so none is left of an earlier sweep, however that one ended
+            if not lock(file.fileno(), _PATIENCE):
                 return SeedEnd(seed, "another process still trains it")
             return SeedEnd(seed, _ended(_start(out, seed, threads, file.fileno())))
     except OSError as error:
@@ -116,18 +116,3 @@ def _ended(process: subprocess.Popen) -> str:
     if code < 0:
         return f"ended by {_SIGNALS.get(-code, f'signal {-code}')}"
     return f"exit code {code}" if code else ""
-
-
-def _alone(log: int) -> bool:
-    """Lock a seed's log; return whether that was possible.
-
-    The process of the seed, and those of its environments, write to the same open file, and the lock is held until the
-    last of them has gone: so none is left of an earlier sweep, however that one ended, when the next one goes on.
-    """
-    start = time.monotonic()
-    while time.monotonic() - start < _PATIENCE:
-        with contextlib.suppress(BlockingIOError):
-            fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return True
-        time.sleep(0.1)
-    return False
