@@ -38,11 +38,14 @@ def test_a_shipped_recipe_trains_to_its_end_in_either_precision(
     assert all(bool(torch.isfinite(p).all()) for p in Encoder.load(out).parameters())
 
 
-@pytest.mark.parametrize("tiles", [False, True])
-def test_auto_is_bfloat16_where_it_was_measured_to_train_better(tiles: bool, monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize(("tiles", "vectors"), [(False, False), (True, False), (False, True), (True, True)])
+def test_auto_is_bfloat16_where_it_was_measured_to_train_better(
+    tiles: bool, vectors: bool, monkeypatch: pytest.MonkeyPatch
+):
     monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda: tiles)
+    monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda: vectors)
     monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda *_, **__: True)  # it says so of GPUs that emulate it
-    assert resolve_precision("auto", CPU) == ("bf16" if tiles else "32")
+    assert resolve_precision("auto", CPU) == ("bf16" if tiles or vectors else "32")
     assert resolve_precision("auto", CUDA) == "32"
     assert [resolve_precision(name, CPU) for name in ("32", "bf16")] == ["32", "bf16"]
 
