@@ -30,13 +30,8 @@ KEYS += ["--checkpoint_every", "30000"]
 ARMS = {
     "the recipe": [],
     "targets without bounds": ["--learner.bound_by_returns", "false"],
-    "exploration that waits, then falls over 20,000 steps": ["--noise.decay_steps", "20000"],
-    "exploration that falls over the first 20,000": [
-        "--noise.wait_for_success",
-        "false",
-        "--noise.decay_steps",
-        "20000",
-    ],
+    "exploration that does not wait": ["--noise.wait_for_success", "false"],
+    "neither": ["--learner.bound_by_returns", "false", "--noise.wait_for_success", "false"],
     "blind": ["--control", "blind"],
 }
 """what is done otherwise, and the keys for it"""
