@@ -102,16 +102,26 @@ def make_encoder(scene: str, folder: Path) -> Path:
     return encoder
 
 
-def test_a_latent_agent_trains_evaluates_and_is_shown(encoder_of: tuple[str, Path], tmp_path: Path):
+@pytest.fixture(scope="module")
+def agent_of(encoder_of: tuple[str, Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
+    """A scene's name and a tiny agent that sees it through a tiny encoder; tests leave it as it is."""
     scene, encoder = encoder_of
-    run, test = tmp_path / "run", tmp_path / "test"
-    assert train(run, "--scene", scene, "--encoder", str(encoder)) == 0
+    run = tmp_path_factory.mktemp("gym") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(ROOT / "examples"))
+        assert train(run, "--scene", scene, "--encoder", str(encoder)) == 0
+    return scene, run
+
+
+def test_a_latent_agent_trains_evaluates_and_is_shown(agent_of: tuple[str, Path], tmp_path: Path):
+    scene, run = agent_of
+    test = tmp_path / "test"
     words = ["--run", str(run), "--out", str(test), "--episodes", "2", "--video", "true", "--video_episodes", "1"]
     assert cli.main(["evaluate", *words, "--video_size", "64"]) == 0
     assert (test / "episodes.mp4").stat().st_size > 1000
     page = tmp_path / "page.html"
     assert cli.main(["report", "--agent", str(run), "--out", str(page), "--episodes", "1"]) == 0
-    assert cli.main(["view", str(run), "--save", str(tmp_path / "view.html")]) == 0
+    assert cli.main(["view", str(run), "--save", str(tmp_path / "view.html"), "--episodes", "1"]) == 0
     tells = scene == BLOCK
     for folder in (run, test):
         summary = json.loads((folder / "summary.json").read_text())
@@ -132,10 +142,9 @@ def test_a_latent_agent_knows_its_joints_and_nothing_else(encoder_of: tuple[str,
     env.close()
 
 
-def test_a_video_is_of_the_scene_and_not_of_a_table_elsewhere(encoder_of: tuple[str, Path], tmp_path: Path):
-    scene, encoder = encoder_of
-    assert train(tmp_path / "run", "--scene", scene, "--encoder", str(encoder)) == 0
-    episode = rollout(tmp_path / "run", view_size=64)
+def test_a_video_is_of_the_scene_and_not_of_a_table_elsewhere(agent_of: tuple[str, Path]):
+    scene, run = agent_of
+    episode = rollout(run, view_size=64)
     assert (episode.success is None) == (scene != BLOCK)
     made = make_scene(scene)
     made.env.reset(seed=0)
