@@ -2,6 +2,7 @@
 
 import os
 import signal
+from multiprocessing import forkserver
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import torch
 from tiny_recipes import TINY_DATASET, TINY_PRETRAINING, TINY_TRAINING, travelling_recipe
 
 from nerf_rl import cli  # before any test file imports mujoco, which reads the OpenGL backend's name once
+from nerf_rl.machine.processes import start_method
 from nerf_rl.scenes.base import Scene
 from nerf_rl.scenes.make import make_scene
 
@@ -25,6 +27,17 @@ def one_thread() -> Iterator[None]:
     """Take back the threads that a command has asked PyTorch for."""
     yield
     torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def server_of_environments() -> None:
+    """Let processes of environments be forks of one that has imported what agents with eyes need, whoever asks first.
+
+    After an agent without eyes, each later process would import PyTorch, which takes seconds.
+    """
+    environments = "nerf_rl.rl.environments"
+    start_method([f"{environments}.{name}" for name in ("make", "observation", "controls")] + ["metaworld"])
+    forkserver.ensure_running()
 
 
 @pytest.fixture(scope="session")
