@@ -2,8 +2,8 @@
 
 import os
 import signal
-from multiprocessing import forkserver
 from collections.abc import Iterator
+from multiprocessing import forkserver
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # there is a test on each core: their threads would wait for each other

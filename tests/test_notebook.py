@@ -19,8 +19,8 @@ FEWER = {
     "PIXELS": 32,
     "ENCODER_STEPS": 4,
     "VALIDATION_FRAMES": 1,
-    "AGENT_STEPS": 660,
-    "WARMUP_STEPS": 560,  # enough for updates with the recipe's batch
+    "AGENT_STEPS": 330,
+    "WARMUP_STEPS": 300,  # enough for updates with the recipe's batch
     "EVALUATION_EPISODES": 1,
 }
 

@@ -45,36 +45,30 @@ TINY_TRAINING = ["--env_steps", "80", "--warmup_steps", "40", "--episode_steps",
 TINY_TRAINING += ["--evaluation_every", "40", "--evaluation_episodes", "2", "--final_evaluation_episodes", "2"]
 TINY_TRAINING += ["--replay.capacity", "200", "--network.hidden", "[16, 16]"]
 
+_DRAWER = ["--env_steps", "320", "--warmup_steps", "300"]  # a transition is two steps, a batch 128 of them
+_PPO = ["--env_steps", "100", "--warmup_steps", "50", "--ppo.batch_size", "20", "--ppo.n_steps"]
+_HINDSIGHT = ["--env_steps", "60", "--warmup_steps", "55"]  # one episode, remembered with many goals, is a batch
 STEPS_OF_RECIPE = {
-    "demo": ["--env_steps", "700", "--warmup_steps", "560"],
+    "demo": _DRAWER,
     "demonstrations": [
         "--env_steps",
-        "1300",
+        "1000",
         "--warmup_steps",
-        "560",
+        "300",
         "--learner.clone_steps",
         "10",
         "--episode_steps",  # in which the script succeeds
         "200",
     ],
-    "drawer-open": ["--env_steps", "700", "--warmup_steps", "560"],
-    "drawer-open-ppo": ["--env_steps", "240", "--warmup_steps", "100", "--ppo.n_steps", "50", "--ppo.batch_size", "50"],
-    "gym": ["--env_steps", "400", "--warmup_steps", "300"],
-    "gym-goal": ["--env_steps", "300", "--warmup_steps", "200"],
-    "panda-reach-ppo": [
-        "--env_steps",
-        "240",
-        "--warmup_steps",
-        "100",
-        "--ppo.n_steps",
-        "100",
-        "--ppo.batch_size",
-        "50",
-    ],
-    "panda-reach-sb3-ddpg": ["--env_steps", "400"],
-    "panda-reach": ["--env_steps", "200", "--warmup_steps", "150"],
-    "panda-reach-ee": ["--env_steps", "200", "--warmup_steps", "150", "--learning_starts", "150"],
-    "panda-reach-sparse": ["--env_steps", "200", "--warmup_steps", "150"],
+    "drawer-open": _DRAWER,
+    "drawer-open-ppo": [*_PPO, "20"],
+    "gym": ["--env_steps", "160", "--warmup_steps", "145"],
+    "gym-goal": ["--env_steps", "120", "--warmup_steps", "110"],
+    "panda-reach-ppo": [*_PPO, "40"],
+    "panda-reach-sb3-ddpg": ["--env_steps", "130"],
+    "panda-reach": _HINDSIGHT,
+    "panda-reach-ee": [*_HINDSIGHT, "--learning_starts", "52"],
+    "panda-reach-sparse": _HINDSIGHT,
 }
 """Of the shipped recipes of agents: enough for an update with the batch of each."""
 

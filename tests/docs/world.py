@@ -32,10 +32,10 @@ from nerf_rl.viewer import server
 FEWER = {
     "gen-dataset": "--episodes 10 --frames_per_episode 2 --episode_steps 12 --size 24 --episodes_per_shard 5",
     "pretrain": "--steps 2 --validation_frames 1 --probe_frames 9",
-    "train-rl": "--episode_steps 40 --evaluation_episodes 1 --final_evaluation_episodes 1",
+    "train-rl": "--episode_steps 20 --evaluation_episodes 1 --final_evaluation_episodes 1",
     "evaluate": "--episodes 1 --video_episodes 1",
-    "tune": "--trials 2 --whale.population 2 --workers 1 --overrides.env_steps 700 --overrides.warmup_steps 560"
-    " --overrides.episode_steps 40 --overrides.evaluation_every 700 --overrides.final_evaluation_episodes 1",
+    "tune": "--trials 2 --whale.population 2 --workers 1 --overrides.env_steps 600 --overrides.warmup_steps 560"
+    " --overrides.episode_steps 20 --overrides.evaluation_every 600 --overrides.final_evaluation_episodes 1",
     "view": "--frames 2 --episodes 1",
     "report": "--episodes 1",
 }
