@@ -16,7 +16,7 @@ MOST_BYTES = 100_000
 MOST_SECONDS = 180  # of a cell; on two idle cores the whole notebook takes a minute
 FEWER = {
     "EPISODES": 12,
-    "PIXELS": 32,
+    "PIXELS": 24,
     "ENCODER_STEPS": 4,
     "VALIDATION_FRAMES": 1,
     "AGENT_STEPS": 330,
