@@ -2,6 +2,7 @@
 
 import ast
 import collections
+import functools
 import graphlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,6 +24,7 @@ ORDER = [
 MOST_FILES = 15
 
 
+@functools.cache
 def modules() -> dict[str, Path]:
     """Return every module's file by its name."""
     names = {}
@@ -43,6 +45,7 @@ def imports(path: Path, known: dict[str, Path]) -> Iterator[str]:
             yield from (alias.name for alias in node.names if alias.name.split(".")[0] == "nerf_rl")
 
 
+@functools.cache
 def graph() -> dict[str, set[str]]:
     known = modules()
     found = {name: set(imports(path, known)) - {name, "nerf_rl"} for name, path in known.items()}

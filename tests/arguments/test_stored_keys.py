@@ -70,11 +70,10 @@ def test_a_damaged_configuration_is_told(tmp_path: Path, content: str):
         require_same_keys(tmp_path, {"seed": 0}, TrainRLConfig)
 
 
-@pytest.fixture
-def older(tiny_dataset: Path, tiny_recipe: Path, tmp_path: Path) -> Path:
-    """The tiny dataset as it is where two of the keys were not known yet when it was begun."""
-    folder = tmp_path / "older"
-    folder.mkdir()
+@pytest.fixture(scope="module")
+def unchanged(tiny_dataset: Path, tiny_recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The tiny dataset as it is where two of the keys were not known yet when it was begun; tests change copies."""
+    folder = tmp_path_factory.mktemp("older")
     shutil.copy(tiny_dataset / "provenance.json", folder)
     plan = without(without(read_json(tiny_dataset / "plan.json"), "behaviour", "replay"), "classes")
     write_json(folder / "plan.json", plan)
@@ -84,6 +83,12 @@ def older(tiny_dataset: Path, tiny_recipe: Path, tmp_path: Path) -> Path:
         with h5py.File(folder / shard) as file:
             assert file.attrs["plan"] == digest
     return folder
+
+
+@pytest.fixture
+def older(unchanged: Path, tmp_path: Path) -> Path:
+    """That dataset, to be changed."""
+    return shutil.copytree(unchanged, tmp_path / "older")
 
 
 def test_a_dataset_of_an_earlier_version_is_resumed_and_keeps_its_plan(older: Path, tiny_recipe: Path):

@@ -70,7 +70,7 @@ def content(folder: Path) -> dict[str, bytes]:
 def test_killed_then_interrupted_a_generation_leaves_no_process_and_resumes_to_the_same_bytes(
     tiny_recipe: Path, tmp_path: Path
 ):
-    long = ["--episodes", "120", "--episodes_per_shard", "40"]  # so that it is not over before it is killed
+    long = ["--episodes", "60", "--episodes_per_shard", "20"]  # so that it is not over before it is killed
     command = ["gen-dataset", "--config", str(tiny_recipe), *long]
     folder, undisturbed = tmp_path / "data", tmp_path / "undisturbed"
     process = start(tiny_recipe, folder, *long)

@@ -3,6 +3,7 @@
 import errno
 import fcntl
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -25,10 +26,9 @@ sys.stdin.read()
 
 
 @pytest.fixture
-def holder(tiny_recipe: Path, tmp_path: Path) -> Iterator[tuple[subprocess.Popen, Path]]:
+def holder(tiny_dataset: Path, tmp_path: Path) -> Iterator[tuple[subprocess.Popen, Path]]:
     """Another process that holds a folder in which a dataset was begun."""
-    folder = tmp_path / "data"
-    assert cli.main(["gen-dataset", "--config", str(tiny_recipe), "--out", str(folder)]) == 0
+    folder = shutil.copytree(tiny_dataset, tmp_path / "data")
     (folder / "summary.json").unlink()
     process = subprocess.Popen(
         [sys.executable, "-c", HOLDER, str(folder)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True

@@ -65,7 +65,8 @@ def test_encoder_and_dataset_stand_beside_an_agent_of_their_scene_only(
 ) -> None:
     page = tmp_path / "page.html"
     for keys in (["--data", str(tiny_dataset)], ["--encoder", str(tiny_encoder)]):
-        given = cli.main(["report", "--agent", str(stateful), "--out", str(page), "--overwrite", "true", *keys])
+        words = ["--agent", str(stateful), "--out", str(page), "--overwrite", "true", "--episodes", "1"]
+        given = cli.main(["report", *words, *keys])
         if stateful.name == "panda":
             assert given == 2 and not page.exists()
             message = capsys.readouterr().err

@@ -109,7 +109,7 @@ def agent_of(encoder_of: tuple[str, Path], tmp_path_factory: pytest.TempPathFact
     run = tmp_path_factory.mktemp("gym") / "run"
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(ROOT / "examples"))
-        assert train(run, "--scene", scene, "--encoder", str(encoder)) == 0
+        assert train(run, "--scene", scene, "--encoder", str(encoder), "--episode_steps", "10") == 0
     return scene, run
 
 
