@@ -2,10 +2,9 @@
 
 import contextlib
 import os
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
 from nerf_rl.errors import UnknownNameError
 from nerf_rl.machine.extras import find_named, import_extra, make_named
@@ -16,20 +15,6 @@ if TYPE_CHECKING:
 TENSORBOARD, WANDB, MLFLOW = "tensorboard", "wandb", "mlflow"
 NAMES = (TENSORBOARD, WANDB, MLFLOW)
 _PROJECT = "nerf-rl"
-
-
-@runtime_checkable
-class CurveLogger(Protocol):
-    """What training without Lightning's trainer asks of a logger; Lightning's own have it."""
-
-    def log_metrics(self, metrics: dict[str, float], step: int | None = None) -> None:
-        """Take figures at a step."""
-
-    def save(self) -> None:
-        """Write what was taken."""
-
-    def finalize(self, status: str) -> None:
-        """End, with ``success`` or ``failed``."""
 
 
 def check_loggers(names: Sequence[str]) -> None:
@@ -63,20 +48,8 @@ def make_loggers(names: Sequence[str], run: Path, version: str = "logs") -> "lis
     return [_make(name, run, version) for name in names]
 
 
-def make_curve_loggers(names: Sequence[str], run: Path) -> list[CurveLogger]:
-    """Return loggers for training without Lightning's trainer; TensorBoard alone does not import Lightning.
-
-    Args:
-        names, run: as for :func:`make_loggers`.
-
-    Raises:
-        UserError: a logger of the user's own cannot be made.
-    """
-    return [_TensorBoard(run / "logs") if name == TENSORBOARD else _make(name, run, "logs") for name in names]
-
-
 @contextlib.contextmanager
-def closed_at_end(loggers: Sequence[CurveLogger]) -> Iterator[None]:
+def closed_at_end(loggers: "Sequence[Logger]") -> Iterator[None]:
     """Tell loggers at the end of a run that it has ended, and whether well, so that none takes it for one that goes on.
 
     Args:
@@ -90,48 +63,25 @@ def closed_at_end(loggers: Sequence[CurveLogger]) -> Iterator[None]:
     _close(loggers, True)
 
 
-class _TensorBoard:
-    """Writes TensorBoard's files as Lightning's logger does, without the seconds that importing Lightning takes."""
+def _close(loggers: "Sequence[Logger]", succeeded: bool) -> None:
+    from lightning.pytorch.loggers import WandbLogger
 
-    def __init__(self, folder: Path):
-        from torch.utils.tensorboard import SummaryWriter
-
-        self._writer = SummaryWriter(str(folder))
-
-    def log_metrics(self, metrics: dict[str, float], step: int | None = None) -> None:
-        for name, value in metrics.items():
-            self._writer.add_scalar(name, value, step)
-
-    def save(self) -> None:
-        self._writer.flush()
-
-    def finalize(self, status: str) -> None:
-        self._writer.close()
-
-
-def _close(loggers: Sequence[CurveLogger], succeeded: bool) -> None:
     for logger in loggers:
         logger.finalize("success" if succeeded else "failed")
-        if "wandb" in sys.modules and _is_of_wandb(logger):
+        if isinstance(logger, WandbLogger):
             import wandb
 
             wandb.finish(0 if succeeded else 1)  # otherwise this process's next run is taken for the same
 
 
-def _is_of_wandb(logger: CurveLogger) -> bool:
-    from lightning.pytorch.loggers import WandbLogger
-
-    return isinstance(logger, WandbLogger)
-
-
 def _make(name: str, run: Path, version: str) -> Any:
-    if name not in NAMES:
-        return make_named("logger", name, run)
     from lightning.pytorch.loggers import MLFlowLogger, TensorBoardLogger, WandbLogger  # they take seconds to import
 
     if name == TENSORBOARD:
         return TensorBoardLogger(run, name="", version=version)
     if name == WANDB:
         return WandbLogger(save_dir=run, name=run.name, project=_PROJECT)
-    kept = f"sqlite:///{run.resolve() / 'mlflow.db'}"  # unless there is a server
-    return MLFlowLogger(_PROJECT, run.name, os.environ.get("MLFLOW_TRACKING_URI") or kept)
+    if name == MLFLOW:
+        kept = f"sqlite:///{run.resolve() / 'mlflow.db'}"  # unless there is a server
+        return MLFlowLogger(_PROJECT, run.name, os.environ.get("MLFLOW_TRACKING_URI") or kept)
+    return make_named("logger", name, run)

@@ -12,7 +12,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecNormalize
 
-from nerf_rl.loggers import make_curve_loggers
+from nerf_rl.loggers import make_loggers
 from nerf_rl.machine.devices import resolve_device
 from nerf_rl.progress import Progress
 from nerf_rl.rl.baselines.models import CLIPPED_AT, export_actor, make_model
@@ -46,7 +46,7 @@ class BaselineTrainer(BaseCallback):
         self._envs = _make_envs(config, spec)
         self._sb3 = make_model(config, self._envs)
         self._sb3.set_logger(Logger(None, []))  # its own would leave a folder in the temporary one for each run
-        self.metrics = MetricsLog(run / "metrics.csv", loggers=make_curve_loggers(config.loggers, run))
+        self.metrics = MetricsLog(run / "metrics.csv", loggers=make_loggers(config.loggers, run))
         self._zoo = ZooFiles(run, config.scene)
         self._returns, self._length = np.zeros(config.envs), np.zeros(config.envs, np.int64)
         self._success, self._tells = np.zeros(config.envs, np.bool_), False

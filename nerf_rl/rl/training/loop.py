@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from nerf_rl.errors import UserError
 from nerf_rl.files.tensor_files import require_tensors, strip_prefix
-from nerf_rl.loggers import make_curve_loggers
+from nerf_rl.loggers import make_loggers
 from nerf_rl.machine.devices import resolve_device
 from nerf_rl.progress import Progress
 from nerf_rl.rl.agents.agent import ValuingAgent, make_agent
@@ -87,7 +87,7 @@ class Trainer:
         self.demonstrations = DemonstratedStart(config)
         if self._checkpoint is not None:
             self._load(self._checkpoint)
-        self.metrics = MetricsLog(run / "metrics.csv", self.env_steps, make_curve_loggers(config.loggers, run))
+        self.metrics = MetricsLog(run / "metrics.csv", self.env_steps, make_loggers(config.loggers, run))
         self._zoo = ZooFiles(run, config.scene, self.env_steps)
 
     @property
