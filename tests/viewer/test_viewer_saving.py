@@ -1,6 +1,7 @@
 """Pages, contact sheets and videos that the viewer writes without a server."""
 
 import re
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -8,6 +9,8 @@ import numpy as np
 import pytest
 
 from nerf_rl import cli
+from nerf_rl.viewer.drawing.slides import Slide
+from nerf_rl.viewer.pages.saving import save
 
 
 def test_a_dataset_becomes_a_page_that_holds_everything_itself(tiny_dataset: Path, tmp_path: Path) -> None:
@@ -33,3 +36,21 @@ def test_encoders_and_agents_become_contact_sheets(
     assert f"wrote {path}" in capsys.readouterr().out
     picture = cv2.imread(str(path))
     assert picture.std() > 20 and np.unique(picture.reshape(-1, 3), axis=0).shape[0] > 50
+
+
+def test_a_contact_sheet_alone_draws_six_slides_of_many_and_is_the_one_beside_a_video(tmp_path: Path) -> None:
+    drawn: list[int] = []
+
+    def draw(place: int) -> Slide:
+        drawn.append(place)
+        return Slide(np.full((16, 16, 3), 10 * place, np.uint8), f"slide {place}")
+
+    slides = [partial(draw, place) for place in range(20)]
+    save({"png": tmp_path / "alone.png"}, "title", slides, None, list)
+    assert drawn == [0, 3, 7, 11, 15, 19]
+    drawn.clear()
+    save({"png": tmp_path / "beside.png", "mp4": tmp_path / "video.mp4"}, "title", slides, None, list)
+    assert drawn == list(range(20))
+    sheet = cv2.imread(str(tmp_path / "alone.png"))
+    assert set(np.unique(sheet)) == {0, 30, 70, 110, 150, 190, 255}
+    np.testing.assert_array_equal(sheet, cv2.imread(str(tmp_path / "beside.png")))

@@ -1,7 +1,8 @@
 """Each frame as one picture with a caption: what pages, contact sheets and videos are made of."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import UInt8
@@ -23,21 +24,18 @@ class Slide:
     caption: str
 
 
+DrawSlide = Callable[[], Slide]
+"""Draws a slide when it is needed: a contact sheet has room for a few of many."""
+
+
 def chosen_frames(dataset: MultiViewDataset, count: int) -> list[int]:
     """Return frames evenly spread over a dataset, at most ``count``."""
     return np.unique(np.linspace(0, len(dataset) - 1, min(count, len(dataset))).astype(int)).tolist()
 
 
-def dataset_slides(dataset: MultiViewDataset, frames: list[int], draw: Picture) -> Iterator[Slide]:
-    """Yield a slide a frame: every camera's picture under its name, in two columns."""
-    for index in frames:
-        frame = read_frame(dataset, index)
-        cells = []
-        for view, name in enumerate(dataset.camera_names):
-            picture = draw(frame, view)
-            cells.append(stack([caption(name, picture.shape[1]), picture], gap=0))
-        text = f"frame {index}, episode {frame.episode}, step {frame.step}, {frame.split}"
-        yield Slide(in_columns(cells, 2), text)
+def dataset_slides(dataset: MultiViewDataset, frames: list[int], draw: Picture) -> list[DrawSlide]:
+    """Return a slide a frame: every camera's picture under its name, in two columns."""
+    return [partial(_dataset_slide, dataset, index, draw) for index in frames]
 
 
 def in_columns(cells: list[UInt8[ndarray, "A B 3"]], columns: int, gap: int = 8) -> UInt8[ndarray, "H W 3"]:
@@ -50,3 +48,13 @@ def in_columns(cells: list[UInt8[ndarray, "A B 3"]], columns: int, gap: int = 8)
         parts = [part for cell in padded[start : start + columns] for part in (cell, space)][:-1]
         rows.append(np.concatenate(parts, axis=1))
     return stack(rows, gap)
+
+
+def _dataset_slide(dataset: MultiViewDataset, index: int, draw: Picture) -> Slide:
+    frame = read_frame(dataset, index)
+    cells = []
+    for view, name in enumerate(dataset.camera_names):
+        picture = draw(frame, view)
+        cells.append(stack([caption(name, picture.shape[1]), picture], gap=0))
+    text = f"frame {index}, episode {frame.episode}, step {frame.step}, {frame.split}"
+    return Slide(in_columns(cells, 2), text)

@@ -1,6 +1,6 @@
 """``nerf-rl view RUN``: serve an agent's page, or save it."""
 
-from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,7 +8,7 @@ from nerf_rl.machine.devices import resolve_device
 from nerf_rl.viewer.config import ViewConfig
 
 if TYPE_CHECKING:
-    from nerf_rl.viewer.drawing.slides import Slide
+    from nerf_rl.viewer.drawing.slides import DrawSlide
     from nerf_rl.viewer.pages.agent import Agent
 
 
@@ -49,13 +49,15 @@ def _agent(config: ViewConfig) -> "Agent":
     return Agent(Path(config.path), config.encoder, config.seed, config.episodes, resolve_device(config.device))
 
 
-def _slides(agent: "Agent", episodes: int) -> Iterator["Slide"]:
+def _slides(agent: "Agent", episodes: int) -> list["DrawSlide"]:
+    """Act the episodes; return a slide a step."""
     from nerf_rl.progress import Progress
     from nerf_rl.viewer.pages.agent_pictures import episode_slide
 
+    slides: list[DrawSlide] = []
     with Progress(episodes, "episodes") as progress:
         for number in range(episodes):
             episode = agent.act(number)
-            for step in range(len(episode)):
-                yield episode_slide(agent, episode, step)
+            slides += [partial(episode_slide, agent, episode, step) for step in range(len(episode))]
             progress.advance()
+    return slides

@@ -1,6 +1,6 @@
 """Slides as files that need neither a browser's server nor a display: a page, a contact sheet, a video."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import cv2
@@ -13,7 +13,8 @@ from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.files.atomic import atomic_write, write_text
 from nerf_rl.pictures.page import Page
 from nerf_rl.pictures.video import write_mp4
-from nerf_rl.viewer.drawing.slides import Slide, in_columns
+from nerf_rl.progress import Progress
+from nerf_rl.viewer.drawing.slides import DrawSlide, Slide, in_columns
 
 _ON_A_SHEET = 6
 _FRAMES_PER_SECOND = 8.0
@@ -25,7 +26,7 @@ Charts = Callable[[], Sequence[UInt8[ndarray, "_ _ 3"]]]
 def save(
     files: dict[str, Path],
     title: str,
-    slides: Iterator[Slide],
+    slides: Sequence[DrawSlide],
     legend: tuple[Sequence[str], UInt8[ndarray, "C 3"]] | None,
     charts: Charts,
     scene: Callable[[], str] | None = None,
@@ -35,28 +36,28 @@ def save(
     Args:
         files: where to, by ``save`` (page), ``png`` (contact sheet) and ``mp4`` (video).
         title: of the page.
-        slides: what to show; gone through once.
+        slides: what to show; each is drawn at most once, and those that no file needs are not.
         legend: names and colours of the classes.
         charts: for the page.
         scene: makes a 3-D recording for the page, a document of its own.
     """
-    shown = list(slides)
+    on_sheet = _evenly_chosen(len(slides))
+    places = on_sheet if files.keys() == {"png"} else list(range(len(slides)))
+    drawn = {}
+    with Progress(len(places), "pictures") as progress:
+        for place in places:
+            drawn[place] = slides[place]()
+            progress.advance()
+    shown = list(drawn.values())
     for kind, path in files.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         if kind == "png":
-            _write_png(path, contact_sheet_of(shown))
+            _write_png(path, _contact_sheet([drawn[place].picture for place in on_sheet]))
         elif kind == "mp4":
             write_mp4(path, same_size([slide.picture for slide in shown]), _FRAMES_PER_SECOND)
         else:
             _write_page(path, title, shown, legend, charts(), scene)
         print(f"wrote {path}", flush=True)
-
-
-def contact_sheet_of(slides: Sequence[Slide], most: int = _ON_A_SHEET) -> UInt8[ndarray, "A B 3"]:
-    """Return slides, evenly chosen, on one sheet."""
-    places = np.unique(np.linspace(0, len(slides) - 1, min(most, len(slides))).astype(int))
-    pictures = same_size([slides[place].picture for place in places])
-    return in_columns(list(pictures), min(2, len(pictures)), gap=24)
 
 
 def same_size(pictures: Sequence[UInt8[ndarray, "_ _ 3"]]) -> UInt8[ndarray, "T A B 3"]:
@@ -79,6 +80,14 @@ def record_scene(dataset: MultiViewDataset, frames: Sequence[int], seconds_per_f
             panel.show(read_frame(dataset, frame))
             recording.insert_sleep(seconds_per_frame)
         return recording.as_html()
+
+
+def _evenly_chosen(slides: int) -> list[int]:
+    return np.unique(np.linspace(0, slides - 1, min(_ON_A_SHEET, slides)).astype(int)).tolist()
+
+
+def _contact_sheet(pictures: Sequence[UInt8[ndarray, "_ _ 3"]]) -> UInt8[ndarray, "A B 3"]:
+    return in_columns(list(same_size(pictures)), min(2, len(pictures)), gap=24)
 
 
 def _write_png(path: Path, picture: UInt8[ndarray, "A B 3"]) -> None:
