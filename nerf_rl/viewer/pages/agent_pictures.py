@@ -20,17 +20,19 @@ from nerf_rl.viewer.field.progressive import FreeCamera, Picture, render_progres
 from nerf_rl.viewer.pages.agent import ActedEpisode, Agent
 from nerf_rl.viewer.panels.scene_panel import field_of_view
 
-_SHOWN = ("episode_return", "episode_success", "q", "td_error", "critic_loss", "pre_tanh", "noise")
+_PROGRESS = ("episode_return", "episode_success", "q", "td_error", "critic_loss", "pre_tanh", "noise")
+_SIGNS_OF_DEADLOCK = ("saturated", "dead_units", "action_gradient", "priority_spread", "stuck_for")
 
 
 def learning_charts(evaluations: list[dict[str, Any]], metrics: dict[str, ndarray]) -> list[UInt8[ndarray, "_ _ 3"]]:
-    """Return charts of the evaluations, with 95 % intervals, and of scalars logged in training, if there are any."""
+    """Return charts of what there is: evaluations with 95 % intervals, training's progress, signs of a deadlock."""
     charts = []
     if evaluations:
         charts.append(_evaluation_chart(evaluations))
-    shown = {name: metrics[name] for name in _SHOWN if name in metrics and not np.isnan(metrics[name]).all()}
-    if shown:
-        charts.append(lines_chart(shown, "environment steps", x=metrics["env_steps"]))
+    for names in (_PROGRESS, _SIGNS_OF_DEADLOCK):
+        shown = {name: metrics[name] for name in names if name in metrics and not np.isnan(metrics[name]).all()}
+        if shown:
+            charts.append(lines_chart(shown, "environment steps", x=metrics["env_steps"]))
     return charts
 
 
