@@ -1,10 +1,11 @@
 """Pretrain by several recipes for the same time: rays, memory, pictures and probes; a result file and a README's table.
 
-Run from a checkout's root, with nothing else running, on a dataset of 64 x 64 pixels:
+Run from a checkout's root, on a dataset of 64 x 64 pixels:
 
     .venv/bin/python tools/bench_pretrain.py data/demo [--recipes pretrain/demo.yaml pretrain/snerl-original.yaml]
 
-The last recipe is what the others are compared with.
+The last recipe is what the others are compared with. Nothing else may run beside it, unless one core is left to it and
+what runs on the other one is the same all the time (``--threads 1``).
 """
 
 import argparse
@@ -35,6 +36,7 @@ def main() -> None:
     parser.add_argument("--recipes", nargs="+", default=["pretrain/demo.yaml", "pretrain/snerl-original.yaml"])
     parser.add_argument("--minutes", type=float, default=8.0)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--threads", type=int, help="of a run; PyTorch's own choice if it is left out")
     arguments = parser.parse_args()
     head = {
         "command": " ".join(["tools/bench_pretrain.py", *sys.argv[1:]]),
@@ -43,6 +45,7 @@ def main() -> None:
         "processor": processor(),
         "scene": MultiViewDataset(arguments.data).manifest["scene"]["name"],
         "minutes": arguments.minutes,
+        "threads": arguments.threads,
     }
     runs: list[dict[str, Any]] = []
     for recipe in arguments.recipes:
@@ -58,6 +61,7 @@ def run(recipe: str, arguments: argparse.Namespace) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
         keys = ["--steps", ENDLESS, "--max_minutes", str(arguments.minutes), "--seed", str(arguments.seed)]
+        keys += ["--threads", str(arguments.threads)] if arguments.threads else []
         command(out, "pretrain", *words, "--out", str(out), *keys)
         summary = read_json(out / SUMMARY)
     rays = summary["steps"] * config.scenes_per_step * config.rays_per_scene
