@@ -79,6 +79,7 @@ def table(rows: list[dict[str, Any]]) -> str:
     header = [
         "task",
         "seed",
+        "steps",
         "PSNR [dB]",
         "depth error [cm]",
         "IoU of the classes",
@@ -96,7 +97,9 @@ def table(rows: list[dict[str, Any]]) -> str:
             for name, figure in row["probe"].items()
         )
         depth = f"{100 * figures['depth_mae_m']:.1f}"
-        lines.append([row["task"], row["seed"], f"{figures['psnr_db']:.1f}", depth, classes, columns])
+        lines.append(
+            [row["task"], row["seed"], f"{row['steps']:,}", f"{figures['psnr_db']:.1f}", depth, classes, columns]
+        )
     return markdown_table(header, lines)
 
 
