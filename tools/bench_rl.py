@@ -133,7 +133,7 @@ def measure(eyes: str, observation_size: int, batch_size: int, arguments: argpar
         for _ in range(arguments.rounds):
             for name, update in updates.items():
                 seconds[name].append(timed(update, arguments.updates))
-    first = seconds[CLEANRL]
+    first, most = seconds[CLEANRL], matrix_rate(batch_size)
     return [
         {
             "eyes": eyes,
@@ -142,6 +142,7 @@ def measure(eyes: str, observation_size: int, batch_size: int, arguments: argpar
             "learner": name,
             "updates_per_second": round(arguments.updates / statistics.median(taken), 1),
             "mflop_per_update": round(operations[name] / 1e6, 1),
+            "share_of_matrix_rate": round(arguments.updates / statistics.median(taken) * operations[name] / most, 2),
             "times_cleanrl": round(statistics.median(a / b for a, b in zip(first, taken, strict=True)), 2),
         }
         for name, taken in seconds.items()
@@ -188,6 +189,13 @@ def count_operations(update: Update) -> float:
     return counter.get_total_flops() / 2
 
 
+def matrix_rate(batch_size: int) -> float:
+    """Return the floating-point operations per second of a hidden layer's matrix product alone."""
+    left, right = torch.randn(batch_size, 256), torch.randn(256, 256)
+    rates = [2 * batch_size * 256**2 * 100 / timed(lambda: left @ right, 100) for _ in range(30)]
+    return statistics.median(rates)
+
+
 def timed(update: Update, count: int) -> float:
     """Return the seconds that so many updates take."""
     start = time.perf_counter()
@@ -198,7 +206,15 @@ def timed(update: Update, count: int) -> float:
 
 def table(rows: list[dict[str, Any]]) -> str:
     """Return a row for each learner."""
-    header = ["observes", "batch", "learner", "updates/s", "times CleanRL's", "MFLOP an update"]
+    header = [
+        "observes",
+        "batch",
+        "learner",
+        "updates/s",
+        "times CleanRL's",
+        "MFLOP an update",
+        "of the rate of a matrix product",
+    ]
     return markdown_table(
         header,
         [
@@ -209,6 +225,7 @@ def table(rows: list[dict[str, Any]]) -> str:
                 f"{row['updates_per_second']:.0f}",
                 f"{row['times_cleanrl']:.2f}",
                 f"{row['mflop_per_update']:.0f}",
+                f"{row['share_of_matrix_rate']:.0%}",
             ]
             for row in rows
         ],
