@@ -30,7 +30,12 @@ DrawSlide = Callable[[], Slide]
 
 def chosen_frames(dataset: MultiViewDataset, count: int) -> list[int]:
     """Return frames evenly spread over a dataset, at most ``count``."""
-    return np.unique(np.linspace(0, len(dataset) - 1, min(count, len(dataset))).astype(int)).tolist()
+    return evenly_chosen(len(dataset), count)
+
+
+def evenly_chosen(total: int, count: int) -> list[int]:
+    """Return places evenly spread over ``total``, the first and the last among them, at most ``count``."""
+    return np.unique(np.linspace(0, total - 1, min(count, total)).astype(int)).tolist()
 
 
 def dataset_slides(dataset: MultiViewDataset, frames: list[int], draw: Picture) -> list[DrawSlide]:

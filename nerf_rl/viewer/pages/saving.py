@@ -14,7 +14,7 @@ from nerf_rl.files.atomic import atomic_write, write_text
 from nerf_rl.pictures.page import Page
 from nerf_rl.pictures.video import write_mp4
 from nerf_rl.progress import Progress
-from nerf_rl.viewer.drawing.slides import DrawSlide, Slide, in_columns
+from nerf_rl.viewer.drawing.slides import DrawSlide, Slide, evenly_chosen, in_columns
 
 _ON_A_SHEET = 6
 _FRAMES_PER_SECOND = 8.0
@@ -41,7 +41,7 @@ def save(
         charts: for the page.
         scene: makes a 3-D recording for the page, a document of its own.
     """
-    on_sheet = _evenly_chosen(len(slides))
+    on_sheet = evenly_chosen(len(slides), _ON_A_SHEET)
     places = on_sheet if files.keys() == {"png"} else list(range(len(slides)))
     drawn = {}
     with Progress(len(places), "pictures") as progress:
@@ -80,10 +80,6 @@ def record_scene(dataset: MultiViewDataset, frames: Sequence[int], seconds_per_f
             panel.show(read_frame(dataset, frame))
             recording.insert_sleep(seconds_per_frame)
         return recording.as_html()
-
-
-def _evenly_chosen(slides: int) -> list[int]:
-    return np.unique(np.linspace(0, slides - 1, min(_ON_A_SHEET, slides)).astype(int)).tolist()
 
 
 def _contact_sheet(pictures: Sequence[UInt8[ndarray, "_ _ 3"]]) -> UInt8[ndarray, "A B 3"]:
