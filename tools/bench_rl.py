@@ -5,9 +5,9 @@ runs all the time; it writes rl/results/learner.json and the table in rl/README.
 
     .venv/bin/python tools/bench_rl.py
 
-``CleanRLUpdate`` does what an update of CleanRL's ``ddpg_continuous_action.py`` does, with the same sizes, optimiser,
-memory and frequencies, in words of its own. Ours is measured at those sizes, with the same operations left out or left
-in, and as the recipe has it. Operations are counted by PyTorch.
+``CleanRLUpdate`` does what an update of CleanRL's ``ddpg_continuous_action.py`` does, with its sizes, optimiser,
+memory and frequencies, in words of its own. Ours is measured at those sizes, without what CleanRL's has not, and as the
+recipe has it. Operations are counted by PyTorch.
 """
 
 import argparse
