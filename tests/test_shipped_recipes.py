@@ -50,7 +50,7 @@ def test_a_training_recipe_trains(recipe: str, tiny_encoder: Path, tmp_path: Pat
         pytest.importorskip("panda_gym", exc_type=ImportError)
     if recipe == "gym-goal":
         pytest.importorskip("gymnasium_robotics")
-    if recipe.endswith(("ppo", "sb3-ddpg")):
+    if recipe.endswith(("ppo", "sb3", "sb3-ddpg")):
         pytest.importorskip("stable_baselines3")
     encoder = ["--encoder", str(tiny_encoder)] if recipe == "demo" else []
     words = ["--config", str(ROOT / "rl" / f"{recipe}.yaml"), "--out", str(tmp_path / "run"), *encoder]

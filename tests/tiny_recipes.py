@@ -62,6 +62,7 @@ STEPS_OF_RECIPE = {
     ],
     "drawer-open": _DRAWER,
     "drawer-open-ppo": [*_PPO, "20"],
+    "drawer-open-sb3": ["--env_steps", "620", "--warmup_steps", "500"],
     "gym": ["--env_steps", "160", "--warmup_steps", "145"],
     "gym-goal": ["--env_steps", "120", "--warmup_steps", "110"],
     "panda-reach-ppo": [*_PPO, "40"],

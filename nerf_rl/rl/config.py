@@ -25,7 +25,8 @@ from nerf_rl.rl.baselines.config import PPOConfig
 from nerf_rl.rl.sweeps.seed_list import parse_seeds
 
 NO_ENCODER = "none"
-BASELINES = ("ppo", "sb3-ddpg")
+OFF_POLICY_BASELINES = ("sb3-ddpg", "sb3-td3", "sb3-sac")
+BASELINES = ("ppo", *OFF_POLICY_BASELINES)
 ALGORITHMS = ("ddpg", *BASELINES)
 
 NO_CONTROL: Final = "none"
@@ -238,7 +239,8 @@ class TrainRLConfig:
     """where curves go besides metrics.csv: tensorboard, wandb, mlflow, or your own Lightning logger by module:Class"""
     algo: str = "ddpg"
     """ddpg (ours), an algorithm of your own that learns from replay by module:Class, or by Stable-Baselines3 (extra
-    sb3): ppo, with the keys of ppo, or sb3-ddpg, with those of learner, noise and replay that it shares"""
+    sb3): ppo, with the keys of ppo, or sb3-ddpg, sb3-td3 and sb3-sac, with those of learner, noise and replay that
+    they share with ours"""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """ppo only"""
     seed: Seed = 0
@@ -277,10 +279,10 @@ class TrainRLConfig:
             raise UserError(
                 f"--warmup_steps {self.warmup_steps} leaves nothing of --env_steps {self.env_steps} to learn in"
             )
-        if self.algo == "sb3-ddpg" and self.learning_starts not in (None, self.warmup_steps):
-            raise UserError("--algo sb3-ddpg learns from the end of --warmup_steps on; leave out --learning_starts")
-        if self.algo == "sb3-ddpg" and self.noise.kind == "pink":
-            raise UserError("--algo sb3-ddpg has no pink noise; use --noise.kind gaussian or ou")
+        if self.algo in OFF_POLICY_BASELINES and self.learning_starts not in (None, self.warmup_steps):
+            raise UserError(f"--algo {self.algo} learns from the end of --warmup_steps on; leave out --learning_starts")
+        if self.algo in ("sb3-ddpg", "sb3-td3") and self.noise.kind == "pink":
+            raise UserError(f"--algo {self.algo} has no pink noise; use --noise.kind gaussian or ou")
         if self.episode_steps < self.action_repeat:
             raise UserError(f"--episode_steps {self.episode_steps} is less than --action_repeat {self.action_repeat}")
 

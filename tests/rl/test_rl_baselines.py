@@ -10,7 +10,7 @@ import torch
 
 from nerf_rl import cli
 from nerf_rl.rl.agents.policy import Policy
-from nerf_rl.rl.config import TrainRLConfig
+from nerf_rl.rl.config import BASELINES, OFF_POLICY_BASELINES, TrainRLConfig
 
 pytest.importorskip("stable_baselines3", reason="extra sb3")
 
@@ -29,7 +29,7 @@ TINY += ["--evaluation_every", "120", "--evaluation_episodes", "2", "--final_eva
 TINY += ["--ppo.n_steps", "32", "--ppo.batch_size", "16", "--ppo.n_epochs", "2", "--ppo.hidden", "[16, 16]"]
 
 
-@pytest.mark.parametrize("algo", ["ppo", "sb3-ddpg"])
+@pytest.mark.parametrize("algo", BASELINES)
 def test_a_baseline_leaves_what_our_own_agent_leaves(algo: str, tmp_path: Path) -> None:
     out = tmp_path / "run"
     assert cli.main(["train-rl", "--algo", algo, "--out", str(out), *TINY]) == 0
@@ -45,7 +45,10 @@ def test_a_baseline_leaves_what_our_own_agent_leaves(algo: str, tmp_path: Path) 
     assert cli.main(["evaluate", "--run", str(out), "--out", str(tmp_path / "evaluation"), "--episodes", "2"]) == 0
 
 
-@pytest.mark.parametrize(("algo", "normalise"), [("ppo", True), ("ppo", False), ("sb3-ddpg", False)])
+EXPORTS = [("ppo", True), ("ppo", False), *((algo, False) for algo in OFF_POLICY_BASELINES)]
+
+
+@pytest.mark.parametrize(("algo", "normalise"), EXPORTS)
 def test_the_exported_policy_acts_as_the_model_does(algo: str, normalise: bool, tmp_path: Path) -> None:
     from nerf_rl.rl.baselines.models import layered_config
     from nerf_rl.rl.baselines.train import BaselineTrainer

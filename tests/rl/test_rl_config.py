@@ -34,7 +34,10 @@ ROOT = Path(__file__).parents[2]
         ),
         (["--replay.hindsight_random", "2"], "--replay.hindsight_random must be in [0, 1], got 2.0"),
         (["--panda.control", "joint"], "unknown panda.control 'joint' (did you mean joints?); available: ee, joints"),
-        (["--algo", "sac"], "unknown algorithm 'sac'; available: ddpg, ppo, sb3-ddpg"),
+        (
+            ["--algo", "sac"],
+            "unknown algorithm 'sac' (did you mean sb3-sac?); available: ddpg, ppo, sb3-ddpg, sb3-sac, sb3-td3",
+        ),
         (["--algo", "sb3-ddpg"], "--algo sb3-ddpg has no pink noise; use --noise.kind gaussian or ou"),
         (["--ppo.activation", "gelu"], "unknown ppo.activation 'gelu'"),
         (["--ppo.gamma", "2"], "--ppo.gamma must be in [0, 1], got 2.0"),

@@ -69,7 +69,7 @@ def test_it_trains_is_evaluated_and_resumes(own: Path) -> None:
         ("own_td3:Empty", "'own_td3:Empty' is no algorithm: it lacks act, update_statistics, update"),
         ("own_td3:Failing", "algorithm 'own_td3:Failing' cannot be had: ValueError: no such width"),
         ("nowhere:Agent", "algorithm 'nowhere:Agent' cannot be had: ModuleNotFoundError: No module named 'nowhere'"),
-        ("td3", "unknown algorithm 'td3'; available: ddpg, ppo, sb3-ddpg"),
+        ("td3", "unknown algorithm 'td3' (did you mean sb3-td3?); available: ddpg, ppo, sb3-ddpg"),
     ],
 )
 def test_what_is_no_algorithm_is_told(own: Path, name: str, sentence: str, capsys: pytest.CaptureFixture[str]) -> None:

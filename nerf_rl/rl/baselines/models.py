@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3 import DDPG, PPO
+from stable_baselines3 import DDPG, PPO, SAC, TD3
 from stable_baselines3.common.noise import NormalActionNoise, OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
@@ -15,16 +15,20 @@ from nerf_rl.rl.agents.normalisation import RunningNorm
 from nerf_rl.rl.agents.policy import make_actor
 from nerf_rl.rl.config import TrainRLConfig
 
+Model = PPO | TD3 | SAC  # DDPG is a TD3 to Stable-Baselines3
+OFF_POLICY = {"sb3-ddpg": DDPG, "sb3-td3": TD3, "sb3-sac": SAC}
+NOISE: dict[str, Any] = {"gaussian": NormalActionNoise, "ou": OrnsteinUhlenbeckActionNoise}
 ACTIVATIONS = {"tanh": nn.Tanh, "relu": nn.ReLU}
 CLIPPED_AT = 10.0  # VecNormalize's own limit of standardised observations
 
 
-def make_model(config: TrainRLConfig, envs: VecEnv) -> PPO | DDPG:
+def make_model(config: TrainRLConfig, envs: VecEnv) -> Model:
     """Return an untrained model.
 
-    PPO takes its keys from ``config.ppo``. SB3's DDPG takes what it has in common with ours: ``network.hidden``,
-    ``gamma``, ``tau``, ``critic_rate`` (for both networks), ``batch_size``, ``updates_per_step``, the
-    replay's capacity, the first scale of the noise (SB3's does not fall) and ``warmup_steps``; it replays uniformly.
+    PPO takes its keys from ``config.ppo``. DDPG, TD3 and SAC take what they have in common with our DDPG:
+    ``network.hidden``, ``gamma``, ``tau``, ``critic_rate`` (for all networks), ``batch_size``, ``updates_per_step``,
+    the replay's capacity and ``warmup_steps``; DDPG and TD3 the first scale of the noise (SB3's does not fall), while
+    SAC draws its actions. They replay uniformly.
     """
     if config.algo == "ppo":
         ppo = config.ppo
@@ -40,8 +44,8 @@ def make_model(config: TrainRLConfig, envs: VecEnv) -> PPO | DDPG:
         )
     learner, actions = config.learner, int(np.prod(envs.action_space.shape or ()))
     scale = np.full(actions, config.noise.start)
-    kinds: dict[str, Any] = {"gaussian": NormalActionNoise, "ou": OrnsteinUhlenbeckActionNoise}
-    return DDPG(
+    noise = None if config.algo == "sb3-sac" else NOISE[config.noise.kind](np.zeros(actions), scale)
+    return OFF_POLICY[config.algo](
         "MlpPolicy",
         envs,
         learning_rate=learner.critic_rate,
@@ -52,7 +56,7 @@ def make_model(config: TrainRLConfig, envs: VecEnv) -> PPO | DDPG:
         gamma=learner.gamma,
         train_freq=1,
         gradient_steps=max(1, round(learner.updates_per_step * envs.num_envs)),
-        action_noise=kinds[config.noise.kind](np.zeros(actions), scale),
+        action_noise=noise,
         policy_kwargs={"net_arch": config.network.hidden},
         seed=config.seed,
         device=resolve_device(config.device),
@@ -67,7 +71,7 @@ def layered_config(config: TrainRLConfig) -> LayeredConfig:
     return LayeredConfig(config.network.hidden, "relu", "tanh", None)
 
 
-def export_actor(model: PPO | DDPG, config: TrainRLConfig) -> nn.Sequential:
+def export_actor(model: Model, config: TrainRLConfig) -> nn.Sequential:
     """Return a copy of the model's deterministic policy, from raw observation [B, O] to action [B, A]."""
     observation_size = int(np.prod(model.observation_space.shape or ()))
     action_size = int(np.prod(model.action_space.shape or ()))
@@ -75,7 +79,10 @@ def export_actor(model: PPO | DDPG, config: TrainRLConfig) -> nn.Sequential:
     norm, actor = exported
     assert isinstance(norm, RunningNorm) and isinstance(actor, LayeredActor)
     policy: Any = model.policy
-    layers = [*policy.mlp_extractor.policy_net, policy.action_net] if config.algo == "ppo" else policy.actor.mu
+    if isinstance(model, PPO):
+        layers = [*policy.mlp_extractor.policy_net, policy.action_net]
+    else:  # SAC's actor has its mean apart from the layers below, which its deviation shares
+        layers = [*policy.actor.latent_pi, policy.actor.mu] if isinstance(model, SAC) else policy.actor.mu
     sources = [layer for layer in layers if isinstance(layer, nn.Linear)]
     targets = [layer for layer in actor.layers if isinstance(layer, nn.Linear)]
     for source, target in zip(sources, targets, strict=True):

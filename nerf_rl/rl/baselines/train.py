@@ -16,13 +16,13 @@ from nerf_rl.loggers import make_loggers
 from nerf_rl.machine.devices import resolve_device
 from nerf_rl.progress import Progress
 from nerf_rl.rl.baselines.models import CLIPPED_AT, export_actor, make_model
-from nerf_rl.rl.config import TrainRLConfig
+from nerf_rl.rl.config import OFF_POLICY_BASELINES, TrainRLConfig
 from nerf_rl.rl.environments.make import EnvSpec, env_maker, worker_start_method
 from nerf_rl.rl.training.curves import MetricsLog
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes
 from nerf_rl.rl.training.zoo_files import ZooFiles
 
-_LOSS = {"ppo": "train/value_loss", "sb3-ddpg": "train/critic_loss"}  # in SB3's logger
+_LOSS = {"ppo": "train/value_loss"} | dict.fromkeys(OFF_POLICY_BASELINES, "train/critic_loss")  # in SB3's logger
 _FOREVER = 2**60  # agent steps: the callback decides when training ends
 
 
@@ -30,7 +30,7 @@ class BaselineTrainer(BaseCallback):
     """Trains a model: counts environment steps and episodes, evaluates, writes metrics.csv, and ends the training.
 
     Args:
-        config: of the run; ``algo`` is ``ppo`` or ``sb3-ddpg``.
+        config: of the run; ``algo`` is one of the baselines.
         spec: of the environments.
         evaluation_envs: with autoreset disabled.
         run: the run folder.
