@@ -47,8 +47,8 @@ class Memory(Replay):
             torch.arange(4), torch.ones(4), o, torch.zeros(4, 2), torch.zeros(4), torch.ones(4), o, torch.zeros(4)
         )
 
-    def sample_observations(self) -> torch.Tensor:
-        return torch.zeros(4, 3)
+    def sample_uniform(self) -> Batch:
+        return self.sample(1.0)
 
     def __len__(self) -> int:
         return 4

@@ -139,6 +139,9 @@ class LearnerConfig:
     bound_by_returns: bool = False
     """let no step's target be less than what its episode brought from it on (He et al. 2017); for environments in which
     the same actions bring the same again"""
+    imitation_weight: Annotated[float, Limits(least=0, most=10**6)] = 0.0
+    """draw the actor to its own past actions where their episodes brought more than the critic expects of it now (Oh et
+    al. 2018, "self-imitation learning"), by so much, times this weight; 0 for never"""
     updates_per_step: Annotated[float, Limits(above=0, most=1000)] = 1.0
     """gradient updates per agent step"""
     reset_after: Natural = 0
@@ -157,6 +160,11 @@ class LearnerConfig:
 
     def __post_init__(self) -> None:
         check_values(self, "learner.")
+
+    @property
+    def uses_returns(self) -> bool:
+        """Whether something is learnt from what whole episodes brought."""
+        return self.bound_by_returns or self.imitation_weight > 0
 
 
 @dataclass

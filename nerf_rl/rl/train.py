@@ -54,8 +54,7 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
     else:
         from nerf_rl.rl.agents.agent import find_agent
 
-        bounded = config.learner.bound_by_returns
-        find_agent(config.algo, cloning=config.demonstrations > 0, valuing=bounded)
+        find_agent(config.algo, cloning=config.demonstrations > 0, valuing=config.learner.uses_returns)
     run = Path(config.out)
     if config.resume and not config.seeds:
         require_one_run(run)

@@ -147,7 +147,7 @@ def test_a_share_of_each_batch_is_of_demonstrations_with_the_mean_weight(
         if shown:
             assert batch.weight[first:].unique().numel() == 1
             assert float(batch.weight[-1]) == pytest.approx(float(batch.weight[:first].mean()))
-        assert int((replay.sample_observations()[:, 0] < 0).sum()) == shown
+        assert int((replay.sample_uniform().observation[:, 0] < 0).sum()) == shown
         replay.update_priority(batch.indices, torch.ones(40))
     assert (replay.sample_demonstrations().observation < 0).all()
     replay.close()
@@ -197,7 +197,7 @@ def test_the_pull_of_demonstrations_falls_to_nothing(envs: AsyncVectorEnv, tmp_p
         agent = trainer.agent
         agent.updates = updates
         agent.actor_optimiser.param_groups[0]["lr"] = 0.0  # the same actor each time
-        losses.append(agent.update_actor(batch.observation, batch)["actor_loss"])
+        losses.append(agent.update_actor(batch, batch)["actor_loss"])
     pulls = [loss - losses[-1] for loss in losses]
     assert pulls[0] > 0 and pulls[1] == pytest.approx(pulls[0] / 2, rel=1e-3) and pulls[2] == pytest.approx(0, abs=1e-7)
     trainer.replay.close()

@@ -61,7 +61,7 @@ def test_the_networks_are_those_of_the_paper() -> None:
 def test_every_normalisation_learns_and_acts_on_a_single_observation(kind: str) -> None:
     learner = agent(normalisation=kind)
     learner.update_critic(batch())
-    learner.update_actor(batch().observation)
+    learner.update_actor(batch())
     Target(learner.critic, 0.5).follow()
     assert learner.act(np.zeros((1, 3), np.float32)).shape == (1, 2)
 
@@ -79,7 +79,7 @@ def test_a_target_moves_by_tau_and_repeats_to_a_geometric_series() -> None:
 def test_the_actors_step_leaves_the_critic_alone_and_the_critics_step_the_actor() -> None:
     learner = agent()
     critic, actor = parameters(learner.critic), parameters(learner.actor)
-    learner.update_actor(batch().observation)
+    learner.update_actor(batch())
     assert same(critic, parameters(learner.critic)) and not same(actor, parameters(learner.actor))
     assert all(p.grad is None and p.requires_grad for p in learner.critic.parameters())
     actor = parameters(learner.actor)
@@ -122,9 +122,9 @@ def test_long_gradients_are_shortened() -> None:
 def test_the_penalty_pulls_saturated_actions_back() -> None:
     learner = agent(pre_tanh_penalty=10.0, actor_rate=1e-2)
     torch.nn.init.constant_(learner.actor.head.bias, 5.0)
-    first = learner.update_actor(batch().observation)["pre_tanh"]
+    first = learner.update_actor(batch())["pre_tanh"]
     for _ in range(50):
-        last = learner.update_actor(batch().observation)["pre_tanh"]
+        last = learner.update_actor(batch())["pre_tanh"]
     assert last < first - 0.3
 
 

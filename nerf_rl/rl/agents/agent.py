@@ -68,7 +68,7 @@ class CloningAgent(Agent, Protocol):
 
 @runtime_checkable
 class ValuingAgent(Agent, Protocol):
-    """An algorithm whose targets can be bounded by what episodes brought."""
+    """An algorithm that can learn from what episodes brought."""
 
     def value(self, observation: Float[ndarray, "O"]) -> float:
         """Return the discounted rewards that are to be expected from an observation on."""

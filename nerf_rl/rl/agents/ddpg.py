@@ -155,8 +155,8 @@ class DDPG:
         if self.updates % self.learner.actor_every:
             return critic_metrics
         own = self.learner.actor_batch == "uniform" and replay.prioritised
-        observation = self.norm(replay.sample_observations().to(self.device)) if own else batch.observation
-        actor_metrics = self.update_actor(observation, self._demonstrated(replay))
+        actor_batch = self._standardise(replay.sample_uniform()) if own else batch
+        actor_metrics = self.update_actor(actor_batch, self._demonstrated(replay))
         self._slow_actor.follow()
         return critic_metrics | actor_metrics
 
@@ -171,7 +171,8 @@ class DDPG:
         with torch.no_grad():
             next_value = self.target_critic(batch.next_observation, self.target_actor(batch.next_observation))
             target = self.learner.reward_scale * batch.reward + batch.discount * next_value
-            target = target.maximum(self.learner.reward_scale * batch.bound)
+            if self.learner.bound_by_returns:
+                target = target.maximum(self.learner.reward_scale * batch.bound)
         with self._gathering(self.critic):
             value = self.critic(batch.observation, batch.action)
         error = target - value
@@ -186,24 +187,35 @@ class DDPG:
         }
         return metrics, error
 
-    def update_actor(self, observation: Float[Tensor, "B O"], demonstrated: Batch | None = None) -> Metrics:
+    def update_actor(self, batch: Batch, demonstrated: Batch | None = None) -> Metrics:
         """Climb Q(s, mu(s)); the critic's parameters are held still and receive no gradient.
 
         Args:
-            observation: standardised.
+            batch: standardised. Where an episode brought more from a step on than is expected of mu, mu is drawn to
+                what was done: w mean max(0, R - Q(s, mu(s))) |mu(s) - a|^2 / A joins the loss (Oh et al. 2018,
+                "self-imitation learning", for a deterministic policy). One action's gradient does not show a way out
+                of a place of rest that takes several actions in turn; what once led out of it does.
             demonstrated: not to go far from, for now: w mean|Q| mean (mu(s) - a)^2 joins the loss, after TD3+BC
                 (Fujimoto and Gu 2021), with a weight w that falls to 0 over ``learner.clone_updates``.
         """
         with self._gathering(self.actor):
-            pre_tanh = self.actor.pre_tanh(observation)
+            pre_tanh = self.actor.pre_tanh(batch.observation)
             distance = None if demonstrated is None else self._distance(demonstrated)
         magnitude = pre_tanh.square().mean()
-        value = self.critic(observation, torch.tanh(pre_tanh))
+        action = torch.tanh(pre_tanh)
+        value = self.critic(batch.observation, action)
         loss = -value.mean() + self.learner.pre_tanh_penalty * magnitude
+        metrics = {}
+        if self.learner.imitation_weight > 0:
+            surplus = (self.learner.reward_scale * batch.bound - value.detach()).clamp(min=0.0)
+            imitated = (surplus * (action - batch.action).square().mean(-1)).mean()
+            loss = loss + self.learner.imitation_weight * imitated
+            metrics["surplus"] = surplus.mean().item()
         if distance is not None:
             loss = loss + self._clone_weight() * value.detach().abs().mean() * distance
         gradient = self._step(self.actor_optimiser, loss)
-        return {"actor_loss": loss.item(), "pre_tanh": magnitude.item() ** 0.5, "actor_gradient": gradient}
+        metrics |= {"actor_loss": loss.item(), "pre_tanh": magnitude.item() ** 0.5, "actor_gradient": gradient}
+        return metrics
 
     def clone(self, replay: Replay) -> Metrics:
         """Draw the actor towards demonstrated actions, and fit the critic to what comes of them, by one step each."""

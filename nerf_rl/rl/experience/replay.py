@@ -180,14 +180,15 @@ class Replay:
         places, rows = self._draw_demonstrated(self._batch_size)
         return self._batch(self._capacity + places, torch.ones(self._batch_size), rows)
 
-    def sample_observations(self) -> Float[Tensor, "B O"]:
-        """Draw the observations of a uniform batch, with its share of demonstrations."""
-        shown = self._demonstrated()
-        index = torch.randint(len(self), (self._batch_size - shown,), generator=self.generator)
+    def sample_uniform(self) -> Batch:
+        """Draw a batch in which all transitions are alike, with its share of demonstrations."""
+        count = self._batch_size - self._demonstrated()
+        index = torch.randint(len(self), (count,), generator=self.generator)
         rows = self._gather_rows(index)
-        if shown:
-            rows = torch.cat([rows, self._draw_demonstrated(shown)[1]])
-        return rows[:, : self._split[0]]
+        if self._demonstrated():
+            places, shown = self._draw_demonstrated(self._demonstrated())
+            index, rows = torch.cat([index, self._capacity + places]), torch.cat([rows, shown])
+        return self._batch(index, torch.ones(len(index)), rows)
 
     def observations(self, index: Int[ndarray, "B"]) -> Float[ndarray, "B O"]:
         """Return the observations in some rows of memory."""

@@ -67,7 +67,7 @@ class Trainer:
         self.agent = make_agent(config, self.observation_size, self.action_size, resolve_device(config.device))
         self._checkpoint = last_checkpoint(run) if config.resume else None
         sizes = (self.observation_size, self.action_size, learner.batch_size)
-        bounded = learner.n_step if learner.bound_by_returns else 0
+        bounded = learner.n_step if learner.uses_returns else 0
         self.replay = Replay(
             config.replay, *sizes, run / "replay", config.seed, self._checkpoint_rows(), count, bounded
         )
