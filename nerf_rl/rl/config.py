@@ -217,6 +217,12 @@ class TrainRLConfig:
     """environment steps for which an action is held"""
     episode_steps: Annotated[int, Limits(least=1, most=10**9)] = 200
     """environment steps after which an episode is truncated, unless a Gymnasium environment ends it sooner"""
+    steps_after_success: Count | None = None
+    """environment steps for which a training episode goes on after its first success, if the scene tells of it; then it
+    is truncated: to rest at the goal for longer teaches less than another episode. To its end by default; ddpg only"""
+    retry_share: ShareBelowOne = 0.0
+    """probability that a training episode begins where one has failed lately, which is tried again once, with as much
+    noise as at the first step; from the first success on, if the scene tells of it, and ddpg only"""
     envs: Processes = 2
     """environments, each in a process of its own"""
     warmup_steps: Natural = 2_000
@@ -293,6 +299,11 @@ class TrainRLConfig:
             raise UserError(f"--algo {self.algo} has no pink noise; use --noise.kind gaussian or ou")
         if self.episode_steps < self.action_repeat:
             raise UserError(f"--episode_steps {self.episode_steps} is less than --action_repeat {self.action_repeat}")
+        if self.replay.good_share and self.steps_after_success is not None:
+            raise UserError(
+                "--replay.good_share draws from the episodes with the greatest returns, which are not the best ones "
+                "where --steps_after_success cuts those with a success short; give --steps_after_success null"
+            )
 
     def content(self) -> dict[str, Any]:
         """Return the keys that must not change when a run is resumed."""

@@ -19,6 +19,7 @@ from nerf_rl.files.structure import flag, listing, mapping, number, one_of, whol
 from nerf_rl.files.tensor_files import read_tensors, write_tensors
 from nerf_rl.rl.training.deadlock import STRUCTURE as MONITOR
 from nerf_rl.rl.training.evaluation_results import EVALUATIONS
+from nerf_rl.rl.training.starts import STRUCTURE as STARTS
 
 _TENSORS, _FACTS = "state.safetensors", "state.json"
 _REMEDY = "begin the run anew with --overwrite true, or use another --out"
@@ -42,6 +43,7 @@ _STRUCTURE = mapping(
     },
     {
         "awaits_success": flag,
+        **STARTS,
         "demonstrations": mapping({**dict.fromkeys(("episodes", "tries", "env_steps"), whole(1)), "cloned": flag}),
     },
     others=True,

@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from nerf_rl.errors import UserError
@@ -29,8 +29,9 @@ from nerf_rl.rl.training.checkpoint import last_checkpoint, load_checkpoint, sav
 from nerf_rl.rl.training.curves import MetricsLog
 from nerf_rl.rl.training.deadlock import DeadlockMonitor
 from nerf_rl.rl.training.demonstrated_start import DemonstratedStart
-from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes, training_seed
+from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes
 from nerf_rl.rl.training.evaluation_results import DEMONSTRATIONS
+from nerf_rl.rl.training.starts import Starts
 from nerf_rl.rl.training.zoo_files import ZooFiles
 
 _STEP_TIMEOUT = 300.0  # [s] a worker that is silent for so long has hung
@@ -77,8 +78,9 @@ class Trainer:
         self._epsilon_z = EpsilonZGreedy(count, self.action_size, *held)
         self._n_steps = [NStep(learner.n_step, learner.gamma) for _ in range(count)]
         self._hindsight = self._make_hindsight(goal_task)
-        self._length = np.zeros(count, np.int64)
-        self._episode_index, self._returns, self._success = [0] * count, np.zeros(count), np.zeros(count, np.bool_)
+        self._length, self._after_success = np.zeros(count, np.int64), np.zeros(count, np.int64)
+        self._returns, self._success = np.zeros(count), np.zeros(count, np.bool_)
+        self._starts = Starts(config.seed, count, config.retry_share, self._rng)
         self.env_steps, self.episodes, self._credit, self._explored_from = 0, 0, 0.0, 0
         self._awaits_success = config.noise.wait_for_success
         self._seconds_before, self._start = 0.0, time.monotonic()
@@ -146,6 +148,7 @@ class Trainer:
         for env, n_step in enumerate(self._n_steps):
             self.replay.add(n_step.cut(), env)
             self.replay.end_episode(env, self._returns[env], self._value())
+            self._starts.break_off(env)
         for hindsight in self._hindsight:
             self.replay.add(hindsight.cut())
         self.episodes += int((self._length > 0).sum())
@@ -171,7 +174,7 @@ class Trainer:
             "updates": self.agent.updates,
             "episodes": self.episodes,
             "credit": self._credit,
-            "episode_index": self._episode_index,
+            **self._starts.state_dict(),
             "seconds": self.seconds,
             "rng": self._rng.bit_generator.state,
             "evaluations": self.evaluations,
@@ -206,8 +209,8 @@ class Trainer:
         oldest = max(0, stored - self._config.replay.capacity)
         self.replay.load_state(replay | {"rows": load_rows(checkpoint, oldest, stored)}, checkpoint)
         self.env_steps, self.agent.updates, self.episodes = facts["env_steps"], facts["updates"], facts["episodes"]
-        self._credit, self._episode_index = facts["credit"], facts["episode_index"]
-        self._seconds_before, self.evaluations = facts["seconds"], facts["evaluations"]
+        self._credit, self._seconds_before, self.evaluations = facts["credit"], facts["seconds"], facts["evaluations"]
+        self._starts.load_state_dict(facts)
         self._rng.bit_generator.state = facts["rng"]
         self._monitor.load_state_dict(facts["monitor"])
         self._explored_from = facts["explored_from"]
@@ -237,10 +240,10 @@ class Trainer:
 
     def _restart(self, which: ndarray) -> Float[ndarray, "E O"]:
         """Start new episodes where ``which`` [E] is true; return all observations."""
-        seeds = [training_seed(self._config.seed, env, index) for env, index in enumerate(self._episode_index)]
+        seeds = [0] * self._envs.num_envs
         for env in np.flatnonzero(which).tolist():
-            self._episode_index[env] += 1
-            self._returns[env], self._success[env], self._length[env] = 0.0, False, 0
+            seeds[env] = self._starts.begin(env)
+            self._returns[env], self._success[env], self._length[env], self._after_success[env] = 0.0, False, 0, 0
             self._noise.reset(env)
             self._epsilon_z.reset(env, self._decayed(self._config.noise.epsilon_z_start))
         return reset_some(self._envs, which, seeds)
@@ -252,6 +255,7 @@ class Trainer:
         self._learn()
         stepped = self._envs.step_wait(timeout=_STEP_TIMEOUT)  # type: ignore[attr-defined]
         next_observation, reward, terminated, truncated, info = stepped
+        truncated = truncated | self._settled(info["env_steps"])
         for env, n_step in enumerate(self._n_steps):
             step = (observation[env], action[env], float(reward[env]), next_observation[env])
             self.replay.add(n_step.push(*step, bool(terminated[env]), bool(truncated[env])), env)
@@ -272,6 +276,7 @@ class Trainer:
             self.replay.end_episode(env, self._returns[env], self._value())
             success = bool(self._success[env]) if "success" in info else None
             self._monitor.end_episode(self.env_steps, float(self._returns[env]), success)
+            self._starts.end(env, success)
             if self._awaits_success and success is not False:  # or the scene does not tell
                 self._awaits_success = False
                 self._explored_from = self.env_steps if success else self._explored_from
@@ -282,13 +287,20 @@ class Trainer:
             self.metrics.gather(figures | ({"episode_success": float(self._success[env])} if "success" in info else {}))
         return self._restart(done)
 
+    def _settled(self, env_steps: Int[ndarray, "E"]) -> Bool[ndarray, "E"]:
+        """Return which episodes have gone on for long enough after a success, with the steps just taken."""
+        self._after_success += np.where(self._success, env_steps, 0)
+        enough = self._config.steps_after_success
+        return np.zeros_like(self._success) if enough is None else self._after_success >= enough
+
     def _explore(self, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E A"]:
         """Return random actions in the warm-up, then the policy's with noise; some of either are held random ones."""
         config = self._config
         if self._acted < config.warmup_steps:
             random = self._rng.uniform(-1.0, 1.0, (self._envs.num_envs, self.action_size)).astype(np.float32)
             return self._epsilon_z.override(random, 0.8)
-        noisy = np.clip(self.agent.act(observation) + self._noise.sample(self._explored), -1.0, 1.0)
+        noise = self._noise.sample(self._explored, self._starts.retried)
+        noisy = np.clip(self.agent.act(observation) + noise, -1.0, 1.0)
         return self._epsilon_z.override(noisy.astype(np.float32), self._decayed(config.noise.epsilon_z))
 
     def _decayed(self, start: float) -> float:
