@@ -218,8 +218,9 @@ class TrainRLConfig:
     episode_steps: Annotated[int, Limits(least=1, most=10**9)] = 200
     """environment steps after which an episode is truncated, unless a Gymnasium environment ends it sooner"""
     steps_after_success: Count | None = None
-    """environment steps for which a training episode goes on after its first success, if the scene tells of it; then it
-    is truncated: to rest at the goal for longer teaches less than another episode. To its end by default; ddpg only"""
+    """environment steps for which a training episode goes on after its first success, once half of the last 20 at new
+    places have succeeded; then it is truncated: to rest at the goal teaches less than another episode does. To its end
+    by default, and where the scene does not tell of success; ddpg only"""
     retry_share: ShareBelowOne = 0.0
     """probability that a training episode begins where one has failed lately, which is tried again once, with as much
     noise as at the first step; from the first success on, if the scene tells of it, and ddpg only"""

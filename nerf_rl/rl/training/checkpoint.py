@@ -17,9 +17,9 @@ from nerf_rl.files.atomic import rename_durably
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.structure import flag, listing, mapping, number, one_of, whole
 from nerf_rl.files.tensor_files import read_tensors, write_tensors
+from nerf_rl.rl.training.curriculum import STRUCTURE as CURRICULUM
 from nerf_rl.rl.training.deadlock import STRUCTURE as MONITOR
 from nerf_rl.rl.training.evaluation_results import EVALUATIONS
-from nerf_rl.rl.training.starts import STRUCTURE as STARTS
 
 _TENSORS, _FACTS = "state.safetensors", "state.json"
 _REMEDY = "begin the run anew with --overwrite true, or use another --out"
@@ -43,7 +43,7 @@ _STRUCTURE = mapping(
     },
     {
         "awaits_success": flag,
-        **STARTS,
+        **CURRICULUM,
         "demonstrations": mapping({**dict.fromkeys(("episodes", "tries", "env_steps"), whole(1)), "cloned": flag}),
     },
     others=True,

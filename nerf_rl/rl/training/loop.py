@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from numpy import ndarray
 
 from nerf_rl.errors import UserError
@@ -26,12 +26,12 @@ from nerf_rl.rl.experience.noise import EpsilonZGreedy, Noise, linear_schedule
 from nerf_rl.rl.experience.replay import Replay
 from nerf_rl.rl.experience.replay_chunks import count_rows, load_rows, most_rows, save_rows
 from nerf_rl.rl.training.checkpoint import last_checkpoint, load_checkpoint, save_checkpoint
+from nerf_rl.rl.training.curriculum import Curriculum
 from nerf_rl.rl.training.curves import MetricsLog
 from nerf_rl.rl.training.deadlock import DeadlockMonitor
 from nerf_rl.rl.training.demonstrated_start import DemonstratedStart
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes
 from nerf_rl.rl.training.evaluation_results import DEMONSTRATIONS
-from nerf_rl.rl.training.starts import Starts
 from nerf_rl.rl.training.zoo_files import ZooFiles
 
 _STEP_TIMEOUT = 300.0  # [s] a worker that is silent for so long has hung
@@ -78,9 +78,10 @@ class Trainer:
         self._epsilon_z = EpsilonZGreedy(count, self.action_size, *held)
         self._n_steps = [NStep(learner.n_step, learner.gamma) for _ in range(count)]
         self._hindsight = self._make_hindsight(goal_task)
-        self._length, self._after_success = np.zeros(count, np.int64), np.zeros(count, np.int64)
+        self._length = np.zeros(count, np.int64)
         self._returns, self._success = np.zeros(count), np.zeros(count, np.bool_)
-        self._starts = Starts(config.seed, count, config.retry_share, self._rng)
+        eased = (config.retry_share, config.steps_after_success)
+        self._curriculum = Curriculum(config.seed, count, *eased, self._rng)
         self.env_steps, self.episodes, self._credit, self._explored_from = 0, 0, 0.0, 0
         self._awaits_success = config.noise.wait_for_success
         self._seconds_before, self._start = 0.0, time.monotonic()
@@ -148,7 +149,7 @@ class Trainer:
         for env, n_step in enumerate(self._n_steps):
             self.replay.add(n_step.cut(), env)
             self.replay.end_episode(env, self._returns[env], self._value())
-            self._starts.break_off(env)
+            self._curriculum.break_off(env)
         for hindsight in self._hindsight:
             self.replay.add(hindsight.cut())
         self.episodes += int((self._length > 0).sum())
@@ -174,7 +175,7 @@ class Trainer:
             "updates": self.agent.updates,
             "episodes": self.episodes,
             "credit": self._credit,
-            **self._starts.state_dict(),
+            **self._curriculum.state_dict(),
             "seconds": self.seconds,
             "rng": self._rng.bit_generator.state,
             "evaluations": self.evaluations,
@@ -210,7 +211,7 @@ class Trainer:
         self.replay.load_state(replay | {"rows": load_rows(checkpoint, oldest, stored)}, checkpoint)
         self.env_steps, self.agent.updates, self.episodes = facts["env_steps"], facts["updates"], facts["episodes"]
         self._credit, self._seconds_before, self.evaluations = facts["credit"], facts["seconds"], facts["evaluations"]
-        self._starts.load_state_dict(facts)
+        self._curriculum.load_state_dict(facts)
         self._rng.bit_generator.state = facts["rng"]
         self._monitor.load_state_dict(facts["monitor"])
         self._explored_from = facts["explored_from"]
@@ -242,8 +243,8 @@ class Trainer:
         """Start new episodes where ``which`` [E] is true; return all observations."""
         seeds = [0] * self._envs.num_envs
         for env in np.flatnonzero(which).tolist():
-            seeds[env] = self._starts.begin(env)
-            self._returns[env], self._success[env], self._length[env], self._after_success[env] = 0.0, False, 0, 0
+            seeds[env] = self._curriculum.begin(env)
+            self._returns[env], self._success[env], self._length[env] = 0.0, False, 0
             self._noise.reset(env)
             self._epsilon_z.reset(env, self._decayed(self._config.noise.epsilon_z_start))
         return reset_some(self._envs, which, seeds)
@@ -255,7 +256,7 @@ class Trainer:
         self._learn()
         stepped = self._envs.step_wait(timeout=_STEP_TIMEOUT)  # type: ignore[attr-defined]
         next_observation, reward, terminated, truncated, info = stepped
-        truncated = truncated | self._settled(info["env_steps"])
+        truncated = truncated | self._curriculum.step(self._success, info["env_steps"])
         for env, n_step in enumerate(self._n_steps):
             step = (observation[env], action[env], float(reward[env]), next_observation[env])
             self.replay.add(n_step.push(*step, bool(terminated[env]), bool(truncated[env])), env)
@@ -276,7 +277,7 @@ class Trainer:
             self.replay.end_episode(env, self._returns[env], self._value())
             success = bool(self._success[env]) if "success" in info else None
             self._monitor.end_episode(self.env_steps, float(self._returns[env]), success)
-            self._starts.end(env, success)
+            self._curriculum.end(env, success)
             if self._awaits_success and success is not False:  # or the scene does not tell
                 self._awaits_success = False
                 self._explored_from = self.env_steps if success else self._explored_from
@@ -287,19 +288,13 @@ class Trainer:
             self.metrics.gather(figures | ({"episode_success": float(self._success[env])} if "success" in info else {}))
         return self._restart(done)
 
-    def _settled(self, env_steps: Int[ndarray, "E"]) -> Bool[ndarray, "E"]:
-        """Return which episodes have gone on for long enough after a success, with the steps just taken."""
-        self._after_success += np.where(self._success, env_steps, 0)
-        enough = self._config.steps_after_success
-        return np.zeros_like(self._success) if enough is None else self._after_success >= enough
-
     def _explore(self, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E A"]:
         """Return random actions in the warm-up, then the policy's with noise; some of either are held random ones."""
         config = self._config
         if self._acted < config.warmup_steps:
             random = self._rng.uniform(-1.0, 1.0, (self._envs.num_envs, self.action_size)).astype(np.float32)
             return self._epsilon_z.override(random, 0.8)
-        noise = self._noise.sample(self._explored, self._starts.retried)
+        noise = self._noise.sample(self._explored, self._curriculum.retried)
         noisy = np.clip(self.agent.act(observation) + noise, -1.0, 1.0)
         return self._epsilon_z.override(noisy.astype(np.float32), self._decayed(config.noise.epsilon_z))
 

@@ -1,48 +1,59 @@
-"""Where training episodes begin: at new places, and again where an earlier one failed."""
+"""Where training episodes begin, and when they end: more of them where the agent fails, fewer where it rests."""
 
 from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 from numpy import ndarray
 
 from nerf_rl.files.structure import flag, listing, whole
 from nerf_rl.rl.training.episodes import training_seed
 
-STRUCTURE = {"failed_starts": listing(whole()), "ever_succeeded": flag}
-"""of what :meth:`Starts.state_dict` has beside ``episode_index``, which the checkpoints of every version hold"""
+STRUCTURE = {"failed_starts": listing(whole()), "ever_succeeded": flag, "recent": listing(flag)}
+"""of what :meth:`Curriculum.state_dict` has beside ``episode_index``, which checkpoints of every version hold"""
 _REMEMBERED = 20  # of the failures; older ones are of a policy that has learnt since
+_RECENT = 20  # of the episodes at new places
 
 
-class Starts:
-    """Gives each training episode the seed with which its environment is reset.
+class Curriculum:
+    """Gives each training episode the seed with which its environment is reset, and ends it after a success.
 
     A policy that can do its task from most starts hardly explores any more, and fails at the others for good. So a
     start that failed is tried once more, the oldest first, and the episode is to explore as if it were the first one
     (after prioritised level replay, Jiang et al. 2021, with failure for a score). What fails before anything has
     succeeded tells nothing of its start.
 
+    To rest at the goal teaches less than another episode does, so episodes end soon after a success. But the first
+    successes go on: only what they bring to the end tells the agent what it had not known, that they are worth more.
+
     Args:
         seed: of the run.
         envs: parallel environments.
         retry_share: most of the episodes that are such retries.
-        rng: draws which episodes these are.
+        steps_after_success: environment steps for which an episode goes on after a success, once at least half of the
+            latest episodes at new places have succeeded; None for all.
+        rng: draws which episodes are retries.
 
     Attributes:
-        retried: which environments [E] are in such an episode.
+        retried: which environments [E] are in a retry.
     """
 
-    def __init__(self, seed: int, envs: int, retry_share: float, rng: np.random.Generator):
-        self._seed, self._share, self._rng = seed, retry_share, rng
+    def __init__(
+        self, seed: int, envs: int, retry_share: float, steps_after_success: int | None, rng: np.random.Generator
+    ):
+        self._seed, self._share, self._enough, self._rng = seed, retry_share, steps_after_success, rng
         self._index, self._running = [0] * envs, [0] * envs
         self._failed: deque[int] = deque(maxlen=_REMEMBERED)
+        self._recent: deque[bool] = deque(maxlen=_RECENT)
         self._ever_succeeded = False
+        self._after_success = np.zeros(envs, np.int64)
         self.retried: Bool[ndarray, "E"] = np.zeros(envs, np.bool_)
 
     def begin(self, env: int) -> int:
         """Return the seed of the next episode of an environment."""
+        self._after_success[env] = 0
         self.retried[env] = bool(self._failed) and self._rng.random() < self._share
         if self.retried[env]:
             self._running[env] = self._failed.popleft()
@@ -51,10 +62,25 @@ class Starts:
             self._index[env] += 1
         return self._running[env]
 
+    def step(self, success: Bool[ndarray, "E"], env_steps: Int[ndarray, "E"]) -> Bool[ndarray, "E"]:
+        """Return which episodes have gone on for long enough.
+
+        Args:
+            success: of each so far, before the steps just taken.
+            env_steps: just taken.
+        """
+        self._after_success += np.where(success, env_steps, 0)
+        if self._enough is None or 2 * sum(self._recent) < _RECENT:
+            return np.zeros_like(success)
+        return self._after_success >= self._enough
+
     def end(self, env: int, success: bool | None) -> None:
         """Take note of how an environment's episode ended; None where that is not told."""
         self._ever_succeeded |= bool(success)
-        if self._share and self._ever_succeeded and success is False and not self.retried[env]:
+        if success is None or self.retried[env]:
+            return
+        self._recent.append(success)
+        if self._share and self._ever_succeeded and not success:
             self._failed.append(self._running[env])
 
     def break_off(self, env: int) -> None:
@@ -66,10 +92,11 @@ class Starts:
     def state_dict(self) -> dict[str, Any]:
         """Return what a checkpoint has to hold between episodes."""
         failed = {"failed_starts": list(self._failed), "ever_succeeded": self._ever_succeeded}
-        return {"episode_index": self._index, **failed}
+        return {"episode_index": self._index, **failed, "recent": list(self._recent)}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from a checkpoint, perhaps of an earlier version, which tried nothing again."""
+        """Go on from a checkpoint, perhaps of an earlier version, which had no curriculum."""
         self._index = list(state["episode_index"])
         self._failed = deque(state.get("failed_starts", []), _REMEMBERED)
+        self._recent = deque(state.get("recent", []), _RECENT)
         self._ever_succeeded = state.get("ever_succeeded", False)

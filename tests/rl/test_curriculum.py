@@ -1,4 +1,4 @@
-"""Starts that failed come back once, with all exploration, and a resumed run tries the same ones again."""
+"""Curriculum that failed come back once, with all exploration; episodes end after successes that are not news."""
 
 from pathlib import Path
 
@@ -10,13 +10,13 @@ from test_rl_envs import point_envs
 from nerf_rl.progress import Progress
 from nerf_rl.rl.config import LearnerConfig, NetworkConfig, NoiseConfig, ReplayConfig, TrainRLConfig
 from nerf_rl.rl.experience.noise import Noise
+from nerf_rl.rl.training.curriculum import Curriculum
 from nerf_rl.rl.training.episodes import training_seed
 from nerf_rl.rl.training.loop import Trainer
-from nerf_rl.rl.training.starts import Starts
 
 
-def starts(share: float = 0.999, envs: int = 1) -> Starts:
-    return Starts(7, envs, share, np.random.default_rng(0))
+def curriculum(share: float = 0.999, envs: int = 1, steps: int | None = None) -> Curriculum:
+    return Curriculum(7, envs, share, steps, np.random.default_rng(0))
 
 
 def new(env: int, index: int) -> int:
@@ -24,7 +24,7 @@ def new(env: int, index: int) -> int:
 
 
 def test_a_start_that_failed_is_tried_once_more_and_then_new_ones_follow() -> None:
-    made = starts()
+    made = curriculum()
     made.begin(0)
     made.end(0, True)
     failed = made.begin(0)
@@ -36,7 +36,7 @@ def test_a_start_that_failed_is_tried_once_more_and_then_new_ones_follow() -> No
 
 
 def test_the_oldest_failure_comes_first_to_whichever_environment_is_free() -> None:
-    made = starts(envs=2)
+    made = curriculum(envs=2)
     for env in (0, 1):
         made.begin(env)
         made.end(env, True)
@@ -48,21 +48,21 @@ def test_the_oldest_failure_comes_first_to_whichever_environment_is_free() -> No
 
 @pytest.mark.parametrize("told", [False, None], ids=["nothing has succeeded", "success is not told"])
 def test_nothing_is_tried_again_as_long_as(told: bool | None) -> None:
-    made = starts()
+    made = curriculum()
     for index in range(5):
         assert made.begin(0) == new(0, index)
         made.end(0, told)
 
 
 def test_without_a_share_nothing_is_tried_again() -> None:
-    made = starts(share=0.0)
+    made = curriculum(share=0.0)
     for index, success in enumerate([True, False, False, False]):
         assert made.begin(0) == new(0, index)
         made.end(0, success)
 
 
 def test_half_of_the_episodes_may_be_retries() -> None:
-    made = starts(share=0.5)
+    made = curriculum(share=0.5)
     made.begin(0)
     made.end(0, True)
     retried = []
@@ -74,14 +74,14 @@ def test_half_of_the_episodes_may_be_retries() -> None:
 
 
 def test_what_is_broken_off_is_left_to_try_and_a_copy_goes_on_alike() -> None:
-    made = starts()
+    made = curriculum()
     made.begin(0)
     made.end(0, True)
     failed = made.begin(0)
     made.end(0, False)
     assert made.begin(0) == failed
     made.break_off(0)
-    copy = starts()
+    copy = curriculum()
     copy.load_state_dict(made.state_dict())
     assert not copy.retried[0]
     for each in (made, copy):
@@ -91,9 +91,49 @@ def test_what_is_broken_off_is_left_to_try_and_a_copy_goes_on_alike() -> None:
 
 
 def test_a_checkpoint_of_before_there_were_retries_has_nothing_to_try() -> None:
-    made = starts()
+    made = curriculum()
     made.load_state_dict({"episode_index": [4]})
     assert made.begin(0) == new(0, 4) and not made.retried[0]
+
+
+def test_an_episode_ends_after_its_success_once_half_of_the_latest_have_succeeded() -> None:
+    made, yes, no = curriculum(share=0.0, envs=2, steps=4), np.array([True, False]), np.zeros(2, bool)
+    two = np.array([2, 2])
+
+    def steps_until_the_end() -> int | None:
+        made.begin(0)
+        assert not made.step(no, two).any(), "the steps with the success in them do not count"
+        ends = [made.step(yes, two).tolist() for _ in range(5)]
+        return 2 * (ends.index([True, False]) + 1) if [True, False] in ends else None
+
+    for index in range(40):
+        assert steps_until_the_end() == (4 if index >= 30 else None)
+        made.end(0, index >= 20)
+    copy = curriculum(share=0.0, envs=2, steps=4)
+    copy.load_state_dict(made.state_dict())
+    made = copy
+    assert steps_until_the_end() == 4
+
+
+def test_retries_do_not_tell_how_many_succeed_at_new_places() -> None:
+    made = curriculum()
+    for success in [True] * 10 + [False]:
+        made.begin(0)
+        made.end(0, success)
+    made.begin(0)
+    assert made.retried[0]
+    before = made.state_dict()
+    made.end(0, True)
+    assert made.state_dict() == before
+
+
+def test_whole_episodes_are_acted_unless_an_end_is_asked_for() -> None:
+    made = curriculum()
+    for _ in range(40):
+        made.begin(0)
+        made.end(0, True)
+    made.begin(0)
+    assert not any(made.step(np.ones(1, bool), np.array([1])).any() for _ in range(1000))
 
 
 def test_only_those_that_try_again_have_the_noise_of_the_first_step() -> None:
@@ -134,14 +174,14 @@ def test_a_run_tries_again_where_it_failed_and_resumes_to_the_same_episodes(
     envs: AsyncVectorEnv, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begun: list[tuple[int, bool]] = []
-    begin = Starts.begin
+    begin = Curriculum.begin
 
-    def noted(self: Starts, env: int) -> int:
+    def noted(self: Curriculum, env: int) -> int:
         seed = begin(self, env)
         begun.append((seed, bool(self.retried[env])))
         return seed
 
-    monkeypatch.setattr(Starts, "begin", noted)
+    monkeypatch.setattr(Curriculum, "begin", noted)
     (tmp_path / "whole").mkdir()
     whole = Trainer(config(tmp_path / "whole", retry_share=0.5), envs, tmp_path / "whole")
     trained(whole, 240)
