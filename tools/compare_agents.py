@@ -6,6 +6,7 @@ Run from a checkout's root; seeds that are finished are not trained again:
 
     .venv/bin/python tools/compare_agents.py --seeds 20..29
     .venv/bin/python tools/compare_agents.py --seeds 0..4 --encoder runs/demo/encoder
+    .venv/bin/python tools/compare_agents.py --seeds 0..4 --env_steps 50000
 """
 
 import argparse
@@ -53,16 +54,18 @@ def main() -> None:
     parser.add_argument("--encoder", default="", help="what the agents see by; none for the true state")
     parser.add_argument("--seeds", default="0..9", help="as train-rl takes them")
     parser.add_argument("--arms", nargs="+", choices=ARMS, default=list(ARMS), help="of the state, all but blind")
+    parser.add_argument("--env_steps", type=int, default=30_000, help="of each run")
     parser.add_argument("--work", type=Path, default=Path("runs/agents"), help="folder of the runs")
     arguments = parser.parse_args()
-    eyes = "latents" if arguments.encoder else "state"
+    eyes, sees = ("latents", ["--encoder", arguments.encoder]) if arguments.encoder else ("state", [])
     for arm in (arm for arm in arguments.arms if arguments.encoder or "--control" not in ARMS[arm]):
-        folder = arguments.work / f"{Path(arguments.scene).name}-{eyes}" / arm.replace(" ", "-")
+        compared = f"{Path(arguments.scene).name}-{eyes}-{arguments.env_steps}"
+        folder = arguments.work / compared / arm.replace(" ", "-").replace(",", "")
         runs = [run_folder(folder, seed) for seed in parse_seeds(arguments.seeds)]
         if not all((run / SUMMARY).exists() for run in runs):
-            keys = [*KEYS, *ARMS[arm], *(["--encoder", arguments.encoder] if arguments.encoder else [])]
+            keys = [*KEYS, "--env_steps", str(arguments.env_steps), *ARMS[arm], *sees]
             train(["--scene", arguments.scene, *keys, "--seeds", arguments.seeds, "--out", str(folder)])
-        record(arguments.scene, eyes, arm, [row(run) for run in runs])
+        record(arguments.scene, eyes, arguments.env_steps, arm, [row(run) for run in runs])
 
 
 def train(arguments: list[str]) -> None:
@@ -77,17 +80,18 @@ def row(run: Path) -> dict[str, Any]:
     return {**read_run(run), **{name: provenance[name] for name in ("git_revision", "packages")}}
 
 
-def record(scene: str, eyes: str, arm: str, runs: list[dict[str, Any]]) -> None:
+def record(scene: str, eyes: str, env_steps: int, arm: str, runs: list[dict[str, Any]]) -> None:
     """Put runs in place of those of the same seeds, and write file and table."""
     known = read_json(RESULT)["arms"] if RESULT.exists() else []
-    same = [each for each in known if (each["scene"], each["eyes"], each["arm"]) == (scene, eyes, arm)]
+    what = {"scene": scene, "eyes": eyes, "env_steps": env_steps, "arm": arm}
+    same = [each for each in known if all(each[name] == value for name, value in what.items())]
     kept = {run["seed"]: run for each in same for run in each["runs"]} | {run["seed"]: run for run in runs}
-    own = {"scene": scene, "eyes": eyes, "arm": arm, "keys": ARMS[arm], "processor": processor()}
+    own = {**what, "keys": ARMS[arm], "processor": processor()}
     own["runs"] = [kept[seed] for seed in sorted(kept)]
     order = list(ARMS)
     arms = sorted(
         [*(each for each in known if each not in same), own],
-        key=lambda each: (each["scene"], each["eyes"], order.index(each["arm"])),
+        key=lambda each: (each["scene"], each["eyes"], each["env_steps"], order.index(each["arm"])),
     )
     command = f"tools/compare_agents.py; {RECIPE} {' '.join(KEYS)}"
     write_json(RESULT, {"command": command, "arms": arms})
@@ -98,14 +102,14 @@ def table(arms: list[dict[str, Any]]) -> str:
     """Return a row for each arm: how often each seed succeeds at the end, the worst first."""
     rows = []
     for arm in arms:
-        last = sorted(run["evaluations"][-1][SUCCESS] for run in arm["runs"])
+        scores = sorted(run["evaluations"][-1][SUCCESS] for run in arm["runs"])
         seeds = sorted(run["seed"] for run in arm["runs"])
         task = arm["scene"].removeprefix("metaworld/").removesuffix("-v3")
-        told = [f"{sum(last) / len(last):.0%}", f"{sum(rate >= GOOD for rate in last)} of {len(last)}"]
-        rates = ", ".join(f"{100 * rate:.0f}" for rate in last)
-        rows.append([task, arm["eyes"], arm["arm"], ", ".join(map(str, seeds)), *told, rates])
-    header = ["task", "from", "agent", "seeds", "success, mean", f"seeds at {GOOD:.0%}", "success of each, sorted [%]"]
-    return markdown_table(header, rows)
+        told = [f"{sum(scores) / len(scores):.0%}", f"{sum(rate >= GOOD for rate in scores)} of {len(scores)}"]
+        rates = ", ".join(f"{100 * rate:.0f}" for rate in scores)
+        rows.append([task, arm["eyes"], f"{arm['env_steps']:,}", arm["arm"], ", ".join(map(str, seeds)), *told, rates])
+    last = ["success, mean", f"seeds at {GOOD:.0%}", "success of each, sorted [%]"]
+    return markdown_table(["task", "from", "env steps", "agent", "seeds", *last], rows)
 
 
 if __name__ == "__main__":
