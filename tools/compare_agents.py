@@ -28,21 +28,18 @@ from nerf_rl.rl.training.evaluation_results import SUCCESS
 RESULT, README, RECIPE = Path("rl/results/ablation.json"), Path("rl/README.md"), "rl/demo.yaml"
 KEYS = ["--evaluation_every", "10000", "--evaluation_episodes", "2", "--final_evaluation_episodes", "50"]
 KEYS += ["--checkpoint_every", "30000"]
-UNWAITING, BLIND = ["--noise.wait_for_success", "false"], ["--control", "blind"]
-NO_IMITATION, WHOLE = ["--learner.imitation_weight", "0"], ["--steps_after_success", "null"]
-NO_RETRIES = ["--retry_share", "0"]
-NONE = [*NO_IMITATION, *WHOLE, *NO_RETRIES]
+UNBOUNDED, UNWAITING = ["--learner.bound_by_returns", "false"], ["--noise.wait_for_success", "false"]
+IMITATION = ["--learner.imitation_weight", "0.1"]
+CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]
 ARMS = {
     "the recipe": [],
-    "targets without bounds": ["--learner.bound_by_returns", "false"],
+    "targets without bounds": UNBOUNDED,
     "exploration that does not wait": UNWAITING,
-    "no self-imitation": NO_IMITATION,
-    "whole training episodes": WHOLE,
-    "no retries": NO_RETRIES,
-    "none of these three": NONE,
-    "none of these three, exploration that does not wait": [*NONE, *UNWAITING],
-    "none of these three, blind": [*NONE, *BLIND],
-    "blind": BLIND,
+    "neither": [*UNBOUNDED, *UNWAITING],
+    "self-imitation": IMITATION,
+    "curriculum": CURRICULUM,
+    "self-imitation and curriculum": [*IMITATION, *CURRICULUM],
+    "blind": ["--control", "blind"],
 }
 """what is done otherwise, and the keys for it"""
 
