@@ -10,11 +10,13 @@ Run from a checkout's root; seeds that are finished are not trained again:
 """
 
 import argparse
+import csv
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from compare_precision import processor
 from readme_tables import markdown_table, replace_tables
 
@@ -72,9 +74,19 @@ def train(arguments: list[str]) -> None:
 
 
 def row(run: Path) -> dict[str, Any]:
-    """Return what is told of a run, with its revision and versions."""
+    """Return what is told of a run, how many of its last training episodes succeeded, its revision and versions."""
     provenance = read_json(run / PROVENANCE)
-    return {**read_run(run), **{name: provenance[name] for name in ("git_revision", "packages")}}
+    versions = {name: provenance[name] for name in ("git_revision", "packages")}
+    return {**read_run(run), "late_training_success": late_training_success(run), **versions}
+
+
+def late_training_success(run: Path) -> float:
+    """Return the share of the training episodes in the last 5,000 environment steps that succeeded."""
+    with open(run / "monitor.csv", newline="") as file:
+        next(file)  # a line on the environment
+        episodes = [(int(line["l"]), line["is_success"] == "1") for line in csv.DictReader(file)]
+    ends = np.cumsum([length for length, _ in episodes])
+    return float(np.mean([success for (_, success), end in zip(episodes, ends, strict=True) if end > ends[-1] - 5000]))
 
 
 def record(scene: str, eyes: str, env_steps: int, arm: str, runs: list[dict[str, Any]]) -> None:
