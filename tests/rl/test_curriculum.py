@@ -5,18 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gymnasium.vector import AsyncVectorEnv
-from test_rl_envs import point_envs
+from test_rl_trainer import config, envs, train  # noqa: F401  a fixture is used by its name
 
-from nerf_rl.progress import Progress
-from nerf_rl.rl.config import LearnerConfig, NetworkConfig, NoiseConfig, ReplayConfig, TrainRLConfig
+from nerf_rl.rl.config import NoiseConfig
 from nerf_rl.rl.experience.noise import Noise
 from nerf_rl.rl.training.curriculum import Curriculum
 from nerf_rl.rl.training.episodes import training_seed
 from nerf_rl.rl.training.loop import Trainer
 
 
-def curriculum(share: float = 0.999, envs: int = 1, steps: int | None = None) -> Curriculum:
-    return Curriculum(7, envs, share, steps, np.random.default_rng(0))
+def curriculum(share: float = 0.999, count: int = 1, steps: int | None = None) -> Curriculum:
+    return Curriculum(7, count, share, steps, np.random.default_rng(0))
 
 
 def new(env: int, index: int) -> int:
@@ -36,7 +35,7 @@ def test_a_start_that_failed_is_tried_once_more_and_then_new_ones_follow() -> No
 
 
 def test_the_oldest_failure_comes_first_to_whichever_environment_is_free() -> None:
-    made = curriculum(envs=2)
+    made = curriculum(count=2)
     for env in (0, 1):
         made.begin(env)
         made.end(env, True)
@@ -97,7 +96,7 @@ def test_a_checkpoint_of_before_there_were_retries_has_nothing_to_try() -> None:
 
 
 def test_an_episode_ends_after_its_success_once_half_of_the_latest_have_succeeded() -> None:
-    made, yes, no = curriculum(share=0.0, envs=2, steps=4), np.array([True, False]), np.zeros(2, bool)
+    made, yes, no = curriculum(share=0.0, count=2, steps=4), np.array([True, False]), np.zeros(2, bool)
     two = np.array([2, 2])
 
     def steps_until_the_end() -> int | None:
@@ -109,7 +108,7 @@ def test_an_episode_ends_after_its_success_once_half_of_the_latest_have_succeede
     for index in range(40):
         assert steps_until_the_end() == (4 if index >= 30 else None)
         made.end(0, index >= 20)
-    copy = curriculum(share=0.0, envs=2, steps=4)
+    copy = curriculum(share=0.0, count=2, steps=4)
     copy.load_state_dict(made.state_dict())
     made = copy
     assert steps_until_the_end() == 4
@@ -144,34 +143,15 @@ def test_only_those_that_try_again_have_the_noise_of_the_first_step() -> None:
     assert np.array_equal(some[0], plain[0]) and some[1] == pytest.approx(10 * plain[1])
 
 
-@pytest.fixture(scope="module")
-def envs() -> AsyncVectorEnv:
-    envs = point_envs(2, steps=12, repeat=2)
-    yield envs
-    envs.close(terminate=True)
-
-
-def config(run: Path, **keys: object) -> TrainRLConfig:
-    return TrainRLConfig(
-        str(run),
-        env_steps=480,
-        warmup_steps=100,
-        network=NetworkConfig(hidden=[16, 16]),
-        learner=LearnerConfig(batch_size=16),
-        noise=NoiseConfig(decay_steps=1),
-        replay=ReplayConfig(capacity=4000, prioritised=False),
-        **keys,
-    )
-
-
 def trained(trainer: Trainer, until: int) -> np.ndarray:
-    with Progress(until, "env steps", done=trainer.env_steps) as progress:
-        trainer.train(progress, until)
+    train(trainer, until)
     return trainer.replay.rows(0, trainer.replay.stored)
 
 
 def test_a_run_tries_again_where_it_failed_and_resumes_to_the_same_episodes(
-    envs: AsyncVectorEnv, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    envs: AsyncVectorEnv,  # noqa: F811
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     begun: list[tuple[int, bool]] = []
     begin = Curriculum.begin

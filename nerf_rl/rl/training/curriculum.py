@@ -33,7 +33,7 @@ class Curriculum:
         envs: parallel environments.
         retry_share: most of the episodes that are such retries.
         steps_after_success: environment steps for which an episode goes on after a success, once at least half of the
-            latest episodes at new places have succeeded; None for all.
+            latest episodes at new places have succeeded; with None all go on.
         rng: draws which episodes are retries.
 
     Attributes:
