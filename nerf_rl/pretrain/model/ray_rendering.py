@@ -22,7 +22,8 @@ from nerf_rl.pretrain.model.volume_rendering import (
     surface_samples,
 )
 
-_POINTS_PER_CHUNK = 1 << 16
+_POINTS_PER_CHUNK = 1 << 14  # what is between two layers stays in a processor's cache
+_POINTS_PER_CHUNK_ON_GPU = 1 << 16
 
 
 @dataclass
@@ -118,14 +119,23 @@ def render_without_depth(
     directions: Float[Tensor, "B R 3"],
     config: SamplingConfig,
 ) -> RenderedRays:
-    """Render rays of unknown depth: stratified samples, then importance samples where those found density."""
+    """Render rays of unknown depth: even samples, then importance samples where those found density.
+
+    The field is asked once for each. What it says of the even samples counts in the picture, too.
+    """
     near, far = field.bounds.near, field.bounds.far
-    shape = tuple(origins.shape[:2])
-    even = even_samples(near, far, shape, config.rendering_stratified, origins.device)
-    fine = _found_density(field, latent, origins, directions, even, config.rendering_importance)
-    backdrop = torch.full_like(even[..., :1], far)
-    depths = torch.cat([torch.cat([even, fine], dim=-1).sort(-1).values, backdrop], dim=-1)
-    return render_at(field, latent, origins, directions, depths)
+    even = even_samples(near, far, tuple(origins.shape[:2]), config.rendering_stratified, origins.device)
+    density, features = _evaluate(field, latent, origins, directions, even)
+    fine = _importance(density, directions, even, config.rendering_importance)
+    finer = torch.cat([fine, torch.full_like(even[..., :1], far)], dim=-1)  # the backdrop is the last
+    finer_density, finer_features = _evaluate(field, latent, origins, directions, finer)
+    depths, order = torch.cat([even, finer], dim=-1).sort(dim=-1, stable=True)
+    density = torch.cat([density, finer_density], dim=-1).gather(-1, order)
+    weights = rendering_weights(density, sample_spacings(depths, directions))
+    unsorted = torch.zeros_like(weights).scatter(-1, order, weights).to(features.dtype)
+    even_share, finer_share = unsorted.split([even.shape[-1], finer.shape[-1]], dim=-1)
+    composited = composite(even_share, features) + composite(finer_share, finer_features)
+    return RenderedRays(field.read(composited), depths, weights)
 
 
 @dataclass
@@ -159,7 +169,7 @@ def render_images(
         torch.from_numpy(np.ascontiguousarray(a.reshape(-1, 3), np.float32)).to(device) for a in (origins, directions)
     ]
     samples = config.rendering_stratified + config.rendering_importance + 1
-    chunk = max(1, _POINTS_PER_CHUNK // samples)
+    chunk = max(1, (_POINTS_PER_CHUNK if device.type == "cpu" else _POINTS_PER_CHUNK_ON_GPU) // samples)
     rgb, semantic, depth = [], [], []
     for start in range(0, len(rays[0]), chunk):
         part = [ray[None, start : start + chunk] for ray in rays]
@@ -183,6 +193,13 @@ def _found_density(
     if not count:
         return even[..., :0]
     density, _ = _evaluate(field, latent, origins, directions, even)
+    return _importance(density, directions, even, count)
+
+
+def _importance(
+    density: Float[Tensor, "B R S"], directions: Float[Tensor, "B R 3"], even: Float[Tensor, "B R S"], count: int
+) -> Float[Tensor, "B R M"]:
+    """Return planar depths [m] spread over the density [1/m] of even samples."""
     return importance_samples(even, rendering_weights(density, sample_spacings(even, directions)), count)
 
 
