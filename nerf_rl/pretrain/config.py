@@ -151,7 +151,7 @@ class PretrainConfig:
     steps: Count = 4000
     """training steps"""
     max_minutes: Positive | None = None
-    """wall-clock budget [minutes]; schedules end with it"""
+    """wall-clock budget of training, validations apart [minutes]; schedules end with it"""
     stop_when: str | None = None
     """measure of a validation that ends the run, such as miou>=0.9, psnr_db>=24, ssim>=0.8 or depth_mae_m<=0.03"""
     learning_rate: Positive = 7e-4

@@ -7,6 +7,7 @@ import math
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -25,6 +26,7 @@ from nerf_rl.pretrain.model.encoder import DESCRIPTION, WEIGHTS, Encoder
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 from nerf_rl.pretrain.model.field import RadianceField
 from nerf_rl.pretrain.model.ray_rendering import render_images
+from nerf_rl.pretrain.objectives import encoder_module
 from nerf_rl.pretrain.objectives.snerl_module import SnerlModule
 
 STEPS = 6
@@ -281,3 +283,20 @@ def test_a_budget_of_time_ends_the_schedule_before_the_steps_do(
     module.seconds = 500.0
     assert module.progress() == 1.0
     assert module.learning_rate_factor() == pytest.approx(0.02)
+
+
+def test_a_budget_of_time_is_of_training_and_not_of_validations(
+    tiny_dataset: Path, tiny_pretraining_recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    now, validate = [0.0], SnerlModule.validation_step
+
+    def slowly(module: SnerlModule, frame: int, step: int) -> None:
+        now[0] += 1000.0
+        validate(module, frame, step)
+
+    monkeypatch.setattr(encoder_module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(SnerlModule, "validation_step", slowly)
+    keys = ["--steps", "4", "--steps_per_epoch", "2", "--epochs_per_validation", "1", "--max_minutes", "1"]
+    assert pretrain(tiny_pretraining_recipe, tiny_dataset, tmp_path / "run", *keys) == 0
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert now[0] >= 2000 and summary["steps"] == 4 and summary["training_seconds"] == 0

@@ -8,6 +8,7 @@ from typing import Any
 import lightning
 import numpy as np
 import torch
+from lightning.pytorch.trainer.states import TrainerFn
 from torch import Tensor
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
@@ -135,6 +136,19 @@ class EncoderModule(lightning.LightningModule):
     def on_fit_start(self) -> None:
         """Start the clock."""
         self._clock = time.monotonic()
+
+    def on_validation_start(self) -> None:
+        """Stop the clock: what a budget of time is for is training."""
+        if self._is_fitting:
+            self._count_time()
+
+    def on_validation_end(self) -> None:
+        """Let the clock go on."""
+        self._clock = time.monotonic()
+
+    @property
+    def _is_fitting(self) -> bool:
+        return self.trainer.state.fn == TrainerFn.FITTING and not self.trainer.sanity_checking
 
     @property
     def palette(self) -> np.ndarray:

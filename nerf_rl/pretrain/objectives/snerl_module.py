@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Float
-from lightning.pytorch.trainer.states import TrainerFn
 from torch import Tensor, nn
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
@@ -123,10 +122,12 @@ class SnerlModule(EncoderModule):
 
     def on_validation_start(self) -> None:
         """Let PyTorch divide single operations, since frames are rendered one by one."""
+        super().on_validation_start()
         self._divide(is_training=False)
 
     def on_validation_end(self) -> None:
         """Leave them undivided again."""
+        super().on_validation_end()
         if self._is_fitting:
             self._divide(is_training=True)
 
@@ -167,10 +168,6 @@ class SnerlModule(EncoderModule):
         self.validated_step = self.global_step
         if self.config.stop_when and self._is_fitting and parse_goal(self.config.stop_when).is_reached(self.validation):
             self.trainer.should_stop = True
-
-    @property
-    def _is_fitting(self) -> bool:
-        return self.trainer.state.fn == TrainerFn.FITTING and not self.trainer.sanity_checking
 
     @property
     def far(self) -> float:
