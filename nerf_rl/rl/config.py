@@ -134,6 +134,9 @@ class LearnerConfig:
     """critic updates for each update of the actor"""
     actor_batch: Literal["uniform", "prioritised"] = "uniform"
     """uniform: the actor learns from a batch of its own; prioritised: from the critic's batch"""
+    policy_average: Natural = 0
+    """actor updates over which the weights of the policy that is evaluated and kept are averaged, exponentially (Polyak
+    and Juditsky 1992); 0 for the last weights alone"""
     reward_scale: Positive = 0.1
     """factor on rewards inside the learner; reported returns are unscaled"""
     bound_by_returns: bool = False

@@ -128,6 +128,24 @@ def test_the_penalty_pulls_saturated_actions_back() -> None:
     assert last < first - 0.3
 
 
+def test_the_policy_that_is_kept_has_the_average_of_the_actors_weights(tmp_path: Path) -> None:
+    learner = agent(1, 1, policy_average=4, actor_every=2, actor_rate=1e-2)
+    replay = Replay(ReplayConfig(capacity=64), 1, 1, 16, tmp_path / "replay")
+    rng = np.random.default_rng(0)
+    replay.add([Transition(rng.normal(size=1), rng.uniform(-1, 1, 1), 1.0, 0.9, np.ones(1)) for _ in range(64)])
+    average = parameters(learner.actor)
+    for update in range(1, 13):
+        learner.update(replay, beta=0.5)
+        if update % 2 == 0:  # an update of the actor
+            average = [mean + (now - mean) / 4 for mean, now in zip(average, parameters(learner.actor), strict=True)]
+    kept = parameters(learner.policy()[1])
+    assert all(torch.allclose(*pair, atol=1e-6) for pair in zip(average, kept, strict=True))
+    assert not same(kept, parameters(learner.actor))
+    learner.reset()
+    assert same(parameters(learner.policy()[1]), parameters(learner.actor)), "fresh networks have no past"
+    assert same(parameters(agent().policy()[1]), parameters(agent().actor)), "the last weights, unless asked for more"
+
+
 def test_values_converge_to_the_analytic_ones_for_truncation_and_termination(tmp_path: Path) -> None:
     """Reward 1 for ever is worth 1 / (1 - gamma) if episodes are only truncated, and 1 if each step terminates."""
     for discount, worth in ((0.8, 5.0), (0.0, 1.0)):

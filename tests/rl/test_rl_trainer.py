@@ -15,6 +15,7 @@ from nerf_rl.files.tensor_files import read_tensors, write_tensors
 from nerf_rl.progress import Progress
 from nerf_rl.rl.config import LearnerConfig, NetworkConfig, NoiseConfig, ReplayConfig, TrainRLConfig
 from nerf_rl.rl.training.checkpoint import last_checkpoint
+from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes
 from nerf_rl.rl.training.loop import Trainer
 
 
@@ -31,7 +32,7 @@ def config(run: Path, **keys: object) -> TrainRLConfig:
         env_steps=4000,
         warmup_steps=100,
         network=NetworkConfig(hidden=[32, 32]),
-        learner=LearnerConfig(batch_size=32, actor_rate=1e-3, reward_scale=1.0, actor_every=1),
+        learner=LearnerConfig(batch_size=32, actor_rate=1e-3, reward_scale=1.0, actor_every=1, policy_average=20),
         noise=NoiseConfig(decay_steps=1500, end=0.05),
         replay=ReplayConfig(capacity=4000),
         **keys,
@@ -58,6 +59,18 @@ def test_it_solves_a_tiny_task(envs: AsyncVectorEnv, tmp_path: Path) -> None:
     assert [row.split(",")[0] for row in rows[1:]] == ["1000", "1500", "2000", "2500"]
 
 
+def test_what_is_evaluated_is_the_policy_that_is_kept(envs: AsyncVectorEnv, tmp_path: Path) -> None:
+    trainer = Trainer(config(tmp_path), envs, tmp_path)
+    with torch.no_grad():
+        for weights in trainer.agent.policy()[1].parameters():
+            weights.zero_()  # a policy that stands still
+    trainer.replay.close()
+    explored = trainer.agent.act(np.array([[-0.8, 2], [0.8, 2]], np.float32))
+    assert explored.any(), "exploration goes on with the last weights"
+    still = run_episodes(envs, lambda observation: np.zeros((len(observation), 1)), evaluation_seeds(0, 4))
+    assert trainer.evaluate(4)["mean_return"] == still.returns.mean()
+
+
 def test_training_episodes_end_so_many_steps_after_their_success_once_many_succeed(
     envs: AsyncVectorEnv, tmp_path: Path
 ) -> None:
@@ -78,7 +91,7 @@ def test_training_episodes_end_so_many_steps_after_their_success_once_many_succe
 
 def test_evaluated_episodes_do_not_end_after_their_success(envs: AsyncVectorEnv, tmp_path: Path) -> None:
     trainer = Trainer(config(tmp_path, episode_steps=12, steps_after_success=2, evaluation_to_end=True), envs, tmp_path)
-    train(trainer, 148)
+    train(trainer, 1500)
     trainer.evaluate(10)
     trainer.replay.close()
     with np.load(tmp_path / "evaluations.npz", allow_pickle=False) as file:

@@ -80,6 +80,7 @@ class DDPG:
             self.critic = Critic(*self._sizes, network)
         self._slow_actor, self._slow_critic = (Target(each, learner.tau) for each in (self.actor, self.critic))
         self.target_actor, self.target_critic = self._slow_actor.copy, self._slow_critic.copy
+        self._average = Target(self.actor, 1.0 / learner.policy_average) if learner.policy_average else None
         self.actor_optimiser = torch.optim.Adam(self.actor.parameters(), lr=learner.actor_rate, fused=True)
         self.critic_optimiser = torch.optim.Adam(self.critic.parameters(), lr=learner.critic_rate, fused=True)
         self.actor.eval()
@@ -121,8 +122,11 @@ class DDPG:
         return diagnose(self.actor, self.critic, self.norm(observation))
 
     def policy(self) -> nn.Sequential:
-        """Return the network from raw observations [B, O] to actions [B, A]."""
-        return nn.Sequential(self.norm, self.actor)
+        """Return the network from raw observations [B, O] to actions [B, A] that is evaluated and kept.
+
+        With ``learner.policy_average`` its weights are a running average of the actor's (Polyak and Juditsky 1992).
+        """
+        return nn.Sequential(self.norm, self._average.copy if self._average else self.actor)
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return networks, targets and optimiser moments by flat names."""
@@ -158,6 +162,8 @@ class DDPG:
         actor_batch = self._standardise(replay.sample_uniform()) if own else batch
         actor_metrics = self.update_actor(actor_batch, self._demonstrated(replay))
         self._slow_actor.follow()
+        if self._average:
+            self._average.follow()
         return critic_metrics | actor_metrics
 
     def update_critic(self, batch: Batch) -> tuple[Metrics, Float[Tensor, "B"]]:
@@ -243,7 +249,8 @@ class DDPG:
 
     def _networks(self) -> dict[str, nn.Module]:
         names = ("norm", "actor", "critic", "target_actor", "target_critic")
-        return {name: getattr(self, name) for name in names}
+        average = {"average_actor": self._average.copy} if self._average else {}
+        return {name: getattr(self, name) for name in names} | average
 
     def _optimisers(self) -> dict[str, torch.optim.Adam]:
         return {"actor_optimiser": self.actor_optimiser, "critic_optimiser": self.critic_optimiser}

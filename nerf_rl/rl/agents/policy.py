@@ -39,15 +39,13 @@ class Policy:
     demonstrations: int = 0
     """that its training began with"""
 
-    @torch.no_grad()
     def act(self, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E A"]:
         """Return actions in [-1, 1].
 
         Raises:
             FailureError: they are not numbers, for the weights or the observation are out of all proportion.
         """
-        device = next(self.actor.parameters()).device
-        actions = self.actor(torch.from_numpy(observation).to(device)).cpu().numpy()
+        actions = act(self.actor, observation)
         if np.isnan(actions).any():
             raise FailureError("the policy gives actions that are not numbers; train it, or its encoder, again")
         return actions
@@ -92,6 +90,13 @@ class Policy:
         names = ("observation_size", "action_size", "proprio_names", "encoder_digest", "env_steps")
         kept = {name: content[name] for name in names} | {"demonstrations": content.get("demonstrations", 0)}
         return Policy(actor.eval().requires_grad_(False).to(device), spec_from_json(content["env"]), network, **kept)
+
+
+@torch.no_grad()
+def act(network: nn.Sequential, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E A"]:
+    """Return the actions of standardisation and actor, computed where they are."""
+    device = next(network.parameters()).device
+    return network(torch.from_numpy(observation).to(device)).cpu().numpy()
 
 
 def make_actor(observation_size: int, action_size: int, network: NetworkConfig | LayeredConfig) -> nn.Sequential:

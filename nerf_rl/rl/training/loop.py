@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from nerf_rl.loggers import make_loggers
 from nerf_rl.machine.devices import resolve_device
 from nerf_rl.progress import Progress
 from nerf_rl.rl.agents.agent import ValuingAgent, make_agent
+from nerf_rl.rl.agents.policy import act
 from nerf_rl.rl.config import TrainRLConfig
 from nerf_rl.rl.environments.goals import GoalTask
 from nerf_rl.rl.environments.make import reset_some
@@ -155,9 +157,9 @@ class Trainer:
         self.episodes += int((self._length > 0).sum())
 
     def evaluate(self, episodes: int) -> dict[str, Any]:
-        """Run evaluation episodes with the current policy; return and keep the result."""
+        """Run evaluation episodes with the policy that is kept; return and keep the result."""
         seeds = evaluation_seeds(0, episodes)
-        found = run_episodes(self._envs, self.agent.act, seeds, self._config.evaluation_to_end)
+        found = run_episodes(self._envs, partial(act, self.agent.policy()), seeds, self._config.evaluation_to_end)
         told = {DEMONSTRATIONS: self._config.demonstrations} if self._config.demonstrations else {}
         facts = {"env_steps": self.env_steps, "training_episodes": self.episodes, **told}
         self.evaluations.append({**facts, **found.summary()})
