@@ -7,6 +7,7 @@ Run from a checkout's root; seeds that are finished are not trained again:
     .venv/bin/python tools/compare_agents.py --seeds 20..29
     .venv/bin/python tools/compare_agents.py --seeds 0..4 --encoder runs/demo/encoder
     .venv/bin/python tools/compare_agents.py --seeds 0..4 --env_steps 50000
+    .venv/bin/python tools/compare_agents.py --seeds 0..4 --arms "the recipe" --last_weights
 """
 
 import argparse
@@ -23,6 +24,7 @@ from readme_tables import markdown_table, replace_tables
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import PROVENANCE, SUMMARY
+from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION
 from nerf_rl.rl.sweeps.runs import GOOD, read_run, run_folder
 from nerf_rl.rl.sweeps.seed_list import parse_seeds
 from nerf_rl.rl.training.evaluation_results import SUCCESS
@@ -44,6 +46,7 @@ ARMS = {
     "blind": ["--control", "blind"],
 }
 """what is done otherwise, and the keys for it"""
+LAST_WEIGHTS, LAST_WEIGHTS_KEYS = ", last weights", ["--learner.policy_average", "0"]
 
 
 def main() -> None:
@@ -54,17 +57,22 @@ def main() -> None:
     parser.add_argument("--seeds", default="0..9", help="as train-rl takes them")
     parser.add_argument("--arms", nargs="+", choices=ARMS, default=list(ARMS), help="of the state, all but blind")
     parser.add_argument("--env_steps", type=int, default=30_000, help="of each run")
+    parser.add_argument(
+        "--last_weights", action="store_true", help="evaluate the actor's last weights, not their average"
+    )
     parser.add_argument("--work", type=Path, default=Path("runs/agents"), help="folder of the runs")
     arguments = parser.parse_args()
     eyes, sees = ("latents", ["--encoder", arguments.encoder]) if arguments.encoder else ("state", [])
     for arm in (arm for arm in arguments.arms if arguments.encoder or "--control" not in ARMS[arm]):
+        keys = [*ARMS[arm], *(LAST_WEIGHTS_KEYS if arguments.last_weights else [])]
+        arm += LAST_WEIGHTS if arguments.last_weights else ""
         compared = f"{Path(arguments.scene).name}-{eyes}-{arguments.env_steps}"
         folder = arguments.work / compared / arm.replace(" ", "-").replace(",", "")
         runs = [run_folder(folder, seed) for seed in parse_seeds(arguments.seeds)]
         if not all((run / SUMMARY).exists() for run in runs):
-            keys = [*KEYS, "--env_steps", str(arguments.env_steps), *ARMS[arm], *sees]
-            train(["--scene", arguments.scene, *keys, "--seeds", arguments.seeds, "--out", str(folder)])
-        record(arguments.scene, eyes, arguments.env_steps, arm, [row(run) for run in runs])
+            words = ["--scene", arguments.scene, *KEYS, "--env_steps", str(arguments.env_steps), *keys, *sees]
+            train([*words, "--seeds", arguments.seeds, "--out", str(folder)])
+        record(arguments.scene, eyes, arguments.env_steps, arm, keys, [row(run) for run in runs])
 
 
 def train(arguments: list[str]) -> None:
@@ -74,10 +82,11 @@ def train(arguments: list[str]) -> None:
 
 
 def row(run: Path) -> dict[str, Any]:
-    """Return what is told of a run, how many of its last training episodes succeeded, its revision and versions."""
+    """Return what is told of a run, what it saw by, how many of its last training episodes succeeded, its versions."""
     provenance = read_json(run / PROVENANCE)
     versions = {name: provenance[name] for name in ("git_revision", "packages")}
-    return {**read_run(run), "late_training_success": late_training_success(run), **versions}
+    facts = {"encoder": read_json(run / POLICY_DESCRIPTION)["encoder_digest"]}
+    return {**read_run(run), **facts, "late_training_success": late_training_success(run), **versions}
 
 
 def late_training_success(run: Path) -> float:
@@ -89,18 +98,22 @@ def late_training_success(run: Path) -> float:
     return float(np.mean([success for (_, success), end in zip(episodes, ends, strict=True) if end > ends[-1] - 5000]))
 
 
-def record(scene: str, eyes: str, env_steps: int, arm: str, runs: list[dict[str, Any]]) -> None:
+def record(scene: str, eyes: str, env_steps: int, arm: str, keys: list[str], runs: list[dict[str, Any]]) -> None:
     """Put runs in place of those of the same seeds, and write file and table."""
     known = read_json(RESULT)["arms"] if RESULT.exists() else []
     what = {"scene": scene, "eyes": eyes, "env_steps": env_steps, "arm": arm}
     same = [each for each in known if all(each[name] == value for name, value in what.items())]
     kept = {run["seed"]: run for each in same for run in each["runs"]} | {run["seed"]: run for run in runs}
-    own = {**what, "keys": ARMS[arm], "processor": processor()}
+    own = {**what, "keys": keys, "processor": processor()}
     own["runs"] = [kept[seed] for seed in sorted(kept)]
     order = list(ARMS)
     arms = sorted(
         [*(each for each in known if each not in same), own],
-        key=lambda each: (each["scene"], each["eyes"], each["env_steps"], order.index(each["arm"])),
+        key=lambda each: (
+            *(each[name] for name in ("scene", "eyes", "env_steps")),
+            order.index(each["arm"].removesuffix(LAST_WEIGHTS)),
+            each["arm"],
+        ),
     )
     command = f"tools/compare_agents.py; {RECIPE} {' '.join(KEYS)}"
     write_json(RESULT, {"command": command, "arms": arms})
@@ -116,7 +129,9 @@ def table(arms: list[dict[str, Any]]) -> str:
         task = arm["scene"].removeprefix("metaworld/").removesuffix("-v3")
         told = [f"{sum(scores) / len(scores):.0%}", f"{sum(rate >= GOOD for rate in scores)} of {len(scores)}"]
         rates = ", ".join(f"{100 * rate:.0f}" for rate in scores)
-        rows.append([task, arm["eyes"], f"{arm['env_steps']:,}", arm["arm"], ", ".join(map(str, seeds)), *told, rates])
+        encoders = {run["encoder"] for run in arm["runs"] if run.get("encoder")}
+        eyes = f"{arm['eyes']} of {len(encoders)} encoders" if len(encoders) > 1 else arm["eyes"]
+        rows.append([task, eyes, f"{arm['env_steps']:,}", arm["arm"], ", ".join(map(str, seeds)), *told, rates])
     last = ["success, mean", f"seeds at {GOOD:.0%}", "success of each, sorted [%]"]
     return markdown_table(["task", "from", "env steps", "agent", "seeds", *last], rows)
 
