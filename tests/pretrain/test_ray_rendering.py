@@ -140,6 +140,18 @@ def test_importance_samples_in_training_need_even_ones():
         SamplingConfig(training_stratified=1, training_importance=8)
 
 
+def test_what_two_passes_found_is_what_one_pass_over_all_their_samples_finds():
+    origins, directions, _ = rays()
+    latent = torch.tensor([[RADIUS], [0.5 * RADIUS]])
+    rendered = rendering.render_without_depth(SphereField(), latent, origins, directions, SAMPLING)
+    assert (rendered.depths.diff(dim=-1) >= 0).all()
+    again = rendering.render_at(SphereField(), latent, origins, directions, rendered.depths)
+    torch.testing.assert_close(rendered.weights, again.weights)
+    assert rendered.values["semantic"].argmax(-1).sum() > 100
+    for name, value in again.values.items():
+        torch.testing.assert_close(rendered.values[name], value)
+
+
 def test_each_scene_is_rendered_from_its_own_latent():
     origins, directions, _ = rays()
     latent = torch.tensor([[RADIUS], [0.0]])
