@@ -49,7 +49,10 @@ class Agent(Protocol):
         """Start anew with fresh networks; what was counted and what standardises observations stays."""
 
     def policy(self) -> "nn.Sequential":
-        """Return the network of :meth:`act`, from raw observations to actions, whose layers are ``--network``'s."""
+        """Return the network that is evaluated and kept, from raw observations to actions.
+
+        It is that of :meth:`act`, or an average of what that was; its layers are ``--network``'s.
+        """
 
     def state_dict(self) -> "dict[str, Tensor]":
         """Return all that a resumed run needs, by flat names."""
