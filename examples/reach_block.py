@@ -25,7 +25,11 @@ ABOVE, NEAR = 0.12, 0.04  # [m] of the point above the block's middle, and the d
 
 
 class ReachBlock(MjcfEnv):
-    """The reward is minus the distance from the hand to a point above the red block [m]."""
+    """The reward is minus the distance from the hand to a point above the red block [m].
+
+    When a block has been swept off the table, an episode is broken off: no camera sees what rolls away over the floor, so
+    it would only spoil the data and the memory.
+    """
 
     def __init__(self) -> None:
         super().__init__(mujoco.MjModel.from_xml_path(str(SCENE)))
@@ -35,7 +39,8 @@ class ReachBlock(MjcfEnv):
         observation, _, terminated, truncated, info = super().step(action)
         goal = self.data.body("red_block").xpos + np.array([0.0, 0.0, ABOVE])
         distance = float(np.linalg.norm(self.data.body("hand").xpos - goal))
-        return observation, -distance, terminated, truncated, {**info, "success": distance < NEAR}
+        lost = any(self.data.body(f"{colour}_block").xpos[2] < 0.0 for colour in ("red", "green", "blue"))
+        return observation, -distance, terminated, truncated or lost, {**info, "success": distance < NEAR}
 
 
 gymnasium.register("ReachBlock-v0", entry_point=ReachBlock, max_episode_steps=60)
