@@ -153,6 +153,17 @@ def test_a_video_is_of_the_scene_and_not_of_a_table_elsewhere(agent_of: tuple[st
     assert (episode.view[0] != episode.view[-1]).any()
 
 
+def test_the_examples_episodes_are_broken_off_when_a_block_leaves_the_table():
+    env, scene = make_env(EnvSpec(BLOCK, None, 1, 60))
+    assert scene is not None
+    env.reset(seed=0)
+    rest = np.zeros(env.action_space.shape or (), np.float32)
+    assert env.step(rest)[2:4] == (False, False)
+    scene.data.joint(scene.model.body("green_block").jntadr[0]).qpos[:3] = [1.0, 1.0, -0.2]
+    assert env.step(rest)[2:4] == (False, True)  # truncated: nothing was decided
+    env.close()
+
+
 def test_actions_are_scaled_to_the_environments_own():
     env, scene = make_env(EnvSpec("gym/Pusher-v5", None, 1, 20))
     assert scene is not None and scene.env.action_space.high.max() == 2.0
