@@ -27,8 +27,8 @@ ABOVE, NEAR = 0.12, 0.04  # [m] of the point above the block's middle, and the d
 class ReachBlock(MjcfEnv):
     """The reward is minus the distance from the hand to a point above the red block [m].
 
-    An episode is broken off when a block has been swept off the table: no camera sees what rolls away over the floor, so it
-    would only spoil the data and the memory.
+    An episode is broken off when a block has been swept off the table: no camera sees what rolls away over the floor,
+    so it would only spoil the data and the memory.
     """
 
     def __init__(self) -> None:
