@@ -56,8 +56,9 @@ def test_the_summary_has_its_figures(tiny_encoder: Path):
     assert summary["steps"] == STEPS and summary["seconds"] > 0 and summary["peak_rss_mb"] > 50
     assert list(summary["validation"]) == ["psnr_db", "ssim", "miou", "depth_mae_m"]
     assert 0 <= summary["validation"]["miou"] <= 1 and 0 < summary["validation"]["psnr_db"] < 60
-    assert set(summary["probe"]["hand_x"]) == {"rmse_mm", "r2", "network_rmse_mm", "network_r2"}
-    assert set(summary["joint_probe"]["right_j0"]) == {"rmse_deg", "r2", "network_rmse_deg", "network_r2"}
+    for probe, name, unit in (("probe", "hand_x", "mm"), ("joint_probe", "right_j0", "deg")):
+        kinds = {f"rmse_{unit}", f"median_{unit}", "r2"}
+        assert set(summary[probe][name]) == kinds | {f"network_{kind}" for kind in kinds}
 
 
 def test_cameras_that_the_encoder_does_not_see_have_figures_of_their_own(tiny_encoder: Path, tiny_dataset: Path):

@@ -3,8 +3,10 @@
 from collections.abc import Mapping
 
 UNKNOWN = "unknown"
-ERRORS = {"rmse_mm": " mm", "rmse_deg": "°"}
-"""names of what a probe is off by, with their units"""
+UNITS = {"mm": " mm", "deg": "°"}
+"""what the names of a probe's errors end with, and how that is written"""
+RMSE, MEDIAN = "rmse", "median"
+"""kinds of errors: the root of the mean square, and the middle one of all sizes, which a few frames cannot move"""
 NETWORK = "network_"
 """what begins the names of a network probe's figures; those of the linear probe stand without it"""
 _LEAST_SHARE = 0.002  # of the pixels, below which a class is too small to be judged by its IoU
@@ -26,16 +28,17 @@ def describe_validation(figures: Mapping[str, float | None]) -> str:
     )
 
 
-def describe_error(figures: Mapping[str, float], kind: str = "") -> str:
+def describe_error(figures: Mapping[str, float], kind: str = "", error: str = RMSE) -> str:
     """Return by how much a probe is off, with its unit; that of a probe which was not fitted is unknown.
 
     Args:
-        figures: of one thing that was probed.
+        figures: of one thing that was probed; earlier runs have no median.
         kind: of the probe, what the names of its figures begin with: :data:`NETWORK`, or nothing for the linear one.
+        error: :data:`RMSE` or :data:`MEDIAN`.
     """
-    for name, unit in ERRORS.items():
-        if (error := figures.get(kind + name)) is not None:
-            return f"{error:.1f}{unit}"
+    for name, unit in UNITS.items():
+        if (value := figures.get(f"{kind}{error}_{name}")) is not None:
+            return f"{value:.1f}{unit}"
     return UNKNOWN
 
 

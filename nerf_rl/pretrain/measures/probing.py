@@ -8,7 +8,7 @@ from numpy import ndarray
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import UserError
-from nerf_rl.pretrain.measures.figures import NETWORK, describe_error
+from nerf_rl.pretrain.measures.figures import MEDIAN, NETWORK, RMSE, describe_error
 from nerf_rl.pretrain.measures.linear_probe import encode_frames, linear_probe
 from nerf_rl.pretrain.measures.network_probe import network_probe
 from nerf_rl.pretrain.measures.probe_targets import Target, column_targets, joint_targets, varying
@@ -16,7 +16,8 @@ from nerf_rl.pretrain.measures.supervised import train_supervised
 from nerf_rl.pretrain.model.encoder import Encoder
 
 Figures = dict[str, dict[str, float]]
-"""Name of what is read to ``rmse_mm`` or ``rmse_deg``, and ``r2``; after ``network_``, those of the network probe."""
+"""Name of what is read to ``rmse_mm`` and ``median_mm``, or ``rmse_deg`` and ``median_deg``, and ``r2``; after
+``network_``, those of the network probe."""
 
 
 @dataclass(frozen=True)
@@ -40,15 +41,19 @@ class ProbeResult:
     """of an encoder that was trained on the columns themselves"""
 
     def table(self) -> str:
-        """Return the errors as lines of text, each of the linear probe and then of the network probe."""
+        """Return the errors as lines of text, each of the linear probe and then of the network probe.
+
+        A median far below its RMSE says that few frames make the error: often those in which no camera sees the thing.
+        """
         others = {"untrained encoder": self.random_encoder, "supervised encoder": self.supervised}
         beside = {title: figures for title, figures in others.items() if figures is not None}
-        head = f"{'linear probe, network probe':<28} {'RMSE':>17} {'R2':>7}"
+        head = f"{'linear probe, network probe':<28} {'RMSE':>17} {'median':>17} {'R2':>7}"
         lines = [head + "".join(f" {title:>20}" for title in beside)]
         for group in ("columns", "joints"):
             for name, figures in getattr(self.encoder, group).items():
                 cells = (f" {_both(getattr(other, group)[name]):>20}" for other in beside.values())
-                lines.append(f"{name:<28} {_both(figures):>17} {figures['r2']:>7.3f}" + "".join(cells))
+                own = f"{name:<28} {_both(figures):>17} {_both(figures, MEDIAN):>17} {figures['r2']:>7.3f}"
+                lines.append(own + "".join(cells))
         return "\n".join(lines) if len(lines) > 1 else "no true state that varies, so nothing to probe"
 
     def summary(self) -> dict[str, Figures]:
@@ -127,12 +132,13 @@ def _figures(
     for kind, numbers in read.items():
         places = np.cumsum([target.values.shape[1] for target in truth])[:-1]
         for figures, target, part in zip(found, truth, np.split(numbers, places, axis=1), strict=True):
-            squared = (target.error(target.values, part) ** 2).mean()
+            errors = target.error(target.values, part)
             unexplained = ((part - target.values) ** 2).mean(0).sum() / target.values.var(0).sum()
-            figures[f"{kind}rmse_{target.unit}"] = round(float(squared) ** 0.5, 3)
+            figures[f"{kind}{RMSE}_{target.unit}"] = round(float((errors**2).mean()) ** 0.5, 3)
+            figures[f"{kind}{MEDIAN}_{target.unit}"] = round(float(np.median(np.abs(errors))), 3)
             figures[f"{kind}r2"] = round(1.0 - float(unexplained), 4)
     return found
 
 
-def _both(figures: dict[str, float]) -> str:
-    return f"{describe_error(figures)}, {describe_error(figures, NETWORK)}"
+def _both(figures: dict[str, float], error: str = RMSE) -> str:
+    return f"{describe_error(figures, error=error)}, {describe_error(figures, NETWORK, error)}"
