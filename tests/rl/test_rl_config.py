@@ -1,5 +1,7 @@
 """Mistakes in the keys of train-rl and evaluate, by the words of their answers; the shipped recipes."""
 
+import dataclasses
+import json
 from pathlib import Path
 
 import pytest
@@ -97,6 +99,20 @@ TRAINING_RECIPES = sorted({*(ROOT / "rl").glob("*.yaml")} - {*(ROOT / "rl").glob
 def test_shipped_recipes_are_valid(recipe: Path) -> None:
     config = cli.parse("train-rl", ["--config", str(recipe), "--out", "x"])
     assert config.final_evaluation_episodes >= 20
+
+
+def test_the_recipe_of_50_000_steps_learns_as_the_agents_that_its_figures_are_of() -> None:
+    arms = json.loads((ROOT / "rl" / "results" / "ablation.json").read_text())["arms"]
+    same = {"scene": "metaworld/drawer-open-v3", "eyes": "latents", "arm": "self-imitation and curriculum"}
+    (arm,) = (arm for arm in arms if arm.items() >= {**same, "env_steps": 50_000}.items())
+    steps = ["--env_steps", str(arm["env_steps"])]
+    measured = cli.parse("train-rl", ["--config", str(ROOT / "rl/demo.yaml"), *steps, *arm["keys"], "--out", "x"])
+    shipped = cli.parse("train-rl", ["--config", str(ROOT / "rl/drawer-open.yaml"), "--out", "x"])
+    intervals = {
+        name: getattr(measured, name)
+        for name in ("evaluation_every", "evaluation_episodes", "final_evaluation_episodes", "checkpoint_every")
+    }
+    assert dataclasses.replace(shipped, **intervals) == measured
 
 
 EXPERIMENTS = yaml.safe_load((ROOT / "rl" / "paper" / "experiments.yaml").read_text())["experiments"]
