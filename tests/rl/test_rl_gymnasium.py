@@ -153,6 +153,22 @@ def test_a_video_is_of_the_scene_and_not_of_a_table_elsewhere(agent_of: tuple[st
     assert (episode.view[0] != episode.view[-1]).any()
 
 
+def test_the_examples_block_begins_anywhere_before_the_arm_and_on_no_other():
+    """A hand that is held still, as a blind agent's, is above the block in few episodes."""
+    env = gymnasium.make("reach_block:ReachBlock-v0")
+    data: Any = env.unwrapped.data
+    places = []
+    for seed in [*range(100), 0]:
+        env.reset(seed=seed)
+        red, *others = (data.body(f"{colour}_block").xpos.copy() for colour in ("red", "green", "blue"))
+        assert min(np.linalg.norm(red[:2] - other[:2]) for other in others) >= 0.08
+        places.append(red)
+    np.testing.assert_array_equal(places[-1], places[0])
+    ways = np.array(places)[:, None, :2] - np.array(places)[None, :, :2]
+    assert (np.linalg.norm(ways, axis=-1) < 0.05).mean(0).max() < 0.2
+    env.close()
+
+
 def test_the_examples_episodes_are_broken_off_when_a_block_leaves_the_table():
     env, scene = make_env(EnvSpec(BLOCK, None, 1, 60))
     assert scene is not None
