@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import itertools
 import json
 import math
 import signal
@@ -284,6 +285,19 @@ def test_a_budget_of_time_ends_the_schedule_before_the_steps_do(
     module.seconds = 500.0
     assert module.progress() == 1.0
     assert module.learning_rate_factor() == pytest.approx(0.02)
+
+
+def test_a_budget_of_time_that_is_not_short_changes_nothing(
+    tiny_dataset: Path, tiny_pretraining_recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    encoders = set()
+    for seconds, minutes in ((1.0, "null"), (1.0, "30"), (4.0, "30")):  # between two looks at the clock
+        clock = itertools.count(0.0, seconds)
+        monkeypatch.setattr(encoder_module, "time", SimpleNamespace(monotonic=clock.__next__))
+        keys, out = ["--max_minutes", minutes, "--coarse_to_fine", "0.4"], tmp_path / f"{seconds}-{minutes}"
+        assert pretrain(tiny_pretraining_recipe, tiny_dataset, out, *keys) == 0
+        encoders.add((out / "encoder.safetensors").read_bytes())
+    assert len(encoders) == 1
 
 
 def test_a_budget_of_time_is_of_training_and_not_of_validations(

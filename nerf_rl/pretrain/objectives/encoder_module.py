@@ -24,6 +24,7 @@ from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 _WARM_UP = 0.03  # share of the schedule in which the learning rate rises
 _LAST_RATE = 0.02  # of the peak rate
 _LONGEST_GRADIENT = 1.0
+_START = 0.02  # share of a budget of time in which time does not count: a run begins slowly, whatever it does later
 IMPORTED_QUALITY = "full"
 """of rendering, for an encoder of imported pictures: nothing renders them, and real ones leave nothing out"""
 
@@ -76,10 +77,14 @@ class EncoderModule(lightning.LightningModule):
         return torch.Generator(self.device).manual_seed(self.config.seed * 1_000_003 + self.global_step)
 
     def progress(self) -> float:
-        """Return the share of the run that is done: of its steps, or of its time if that is further."""
+        """Return the share of the run that is done: of its steps, or of its time if that is further.
+
+        Schedules follow this, so where steps take less than their share of the time, a seed has one course.
+        """
         done = self.global_step / self.config.steps
         if self.config.max_minutes is not None:
-            done = max(done, self.seconds / (60.0 * self.config.max_minutes))
+            spent = self.seconds / (60.0 * self.config.max_minutes)
+            done = max(done, spent if spent > _START else 0.0)
         return min(done, 1.0)
 
     def learning_rate_factor(self) -> float:
