@@ -45,10 +45,10 @@ def partial(tmp_path: Path) -> Path:
 
 
 def test_a_process_without_a_beat_ends_and_shows_where_it_hung(partial: Path):
-    program = [sys.executable, "-c", HANGS.format(beat="pass"), str(partial), "0.5"]
+    program = [sys.executable, "-c", HANGS.format(beat="time.sleep(60)"), str(partial), "0.5"]
     finished = subprocess.run(program, capture_output=True, text=True, timeout=60)
     assert finished.returncode == 1 and not finished.stdout
-    assert "Timeout" in finished.stderr and 'File "<string>", line 8' in finished.stderr
+    assert "Timeout" in finished.stderr and 'File "<string>", line 9' in finished.stderr
 
 
 def test_a_process_that_beats_gets_on_and_leaves_nothing(partial: Path):
