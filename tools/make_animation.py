@@ -2,14 +2,14 @@
 
 Run from the root of the checkout that made the demo:
 
-    .venv/bin/python tools/make_animation.py --agent runs/demo/agent --out rl/results/drawer_open.gif
+    .venv/bin/python tools/make_animation.py --agent runs/demo/agent --out rl/results/drawer_open.webp
 """
 
 import argparse
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import imageio_ffmpeg
+import cv2
 import numpy as np
 import torch
 from jaxtyping import UInt8
@@ -32,7 +32,7 @@ CELL = 112  # pixels of each camera's picture
 GAP = 4  # pixels
 SCENE = 3 * CELL + 2 * GAP  # pixels of the view for people, as high as the cameras' pictures together
 HEADS = ("a camera sees", "colours from z", "labels from z", "depth from z")
-MOST_COLOURS = 96
+QUALITY = 35
 
 
 def main() -> None:
@@ -40,10 +40,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--agent", required=True, help="a run folder of train-rl, from an encoder with a field")
     parser.add_argument("--encoder", default="", help="where its encoder is now, if it has moved")
-    parser.add_argument("--out", type=Path, required=True, help="the GIF")
+    parser.add_argument("--out", type=Path, required=True, help="the WebP")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 3], help="of the episodes")
-    parser.add_argument("--every", type=int, default=1, help="show each n-th observation of an episode")
-    parser.add_argument("--fps", type=float, default=8.0, help="pictures a second")
+    parser.add_argument("--every", type=int, default=2, help="show each n-th observation of an episode")
+    parser.add_argument("--fps", type=float, default=4.0, help="pictures a second")
     parser.add_argument("--hold", type=float, default=1.0, help="for how long an episode's last picture stays [s]")
     options = parser.parse_args()
 
@@ -59,7 +59,7 @@ def main() -> None:
         print(f"seed {seed}: {episode.outcome()}", flush=True)
         frames += episode_frames(episode, seed, field, rig, palette, options.every)
         frames += frames[-1:] * round(options.hold * options.fps)
-    write_gif(options.out, np.stack(frames), options.fps)
+    write_webp(options.out, np.stack(frames), options.fps)
     print(f"{options.out}: {options.out.stat().st_size // 1000} kB, {len(frames)} pictures")
 
 
@@ -91,22 +91,16 @@ def episode_frames(
         yield _beside(left, _table(rows), f"seed {seed}, action {step}{outcome}")
 
 
-def write_gif(path: Path, frames: UInt8[ndarray, "T H W 3"], frames_per_second: float) -> None:
-    """Write a GIF that plays in a loop, with one palette for all of it and no dither, which would flicker."""
-    chain = (
-        f"split[a][b];[a]palettegen=max_colors={MOST_COLOURS}:stats_mode=full[p];"
-        "[b][p]paletteuse=dither=none:diff_mode=rectangle"
-    )
-    height, width = frames.shape[1:3]
+def write_webp(path: Path, frames: UInt8[ndarray, "T H W 3"], frames_per_second: float) -> None:
+    """Write a WebP that plays in a loop: all colours, at a quarter of a GIF's bytes."""
+    film = cv2.Animation()
+    film.frames = [np.ascontiguousarray(frame[..., ::-1]) for frame in frames]
+    film.durations = [round(1000 / frames_per_second)] * len(frames)
+    film.loop_count = 0
+    done, content = cv2.imencodeanimation(".webp", film, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
+    assert done
     with atomic_write(path) as aside:
-        writer = imageio_ffmpeg.write_frames(
-            str(aside), (width, height), fps=frames_per_second, codec="gif", pix_fmt_out="pal8", macro_block_size=1,
-            quality=None, output_params=["-filter_complex", chain, "-loop", "0", "-f", "gif"],
-        )  # fmt: skip
-        writer.send(None)
-        for frame in frames:
-            writer.send(np.ascontiguousarray(frame))
-        writer.close()
+        aside.write_bytes(content.tobytes())
 
 
 def _decode(field: RadianceField, rig: EncoderRig, latent: ndarray) -> list[RenderedImages]:
