@@ -32,7 +32,7 @@ help:
 setup: $(READY)
 
 $(READY):
-	@start=$$(date +%s) && sh tools/install_system_libraries.sh && sh tools/install_environment.sh && \
+	@start=$$(date +%s) && sh tools/install/system_libraries.sh && sh tools/install/environment.sh && \
 		rm -f .venv/ready-* && touch $@ && echo "setup: done in $$(($$(date +%s) - start)) s"
 
 # A stage of the demo is done when its summary.json exists; one that was interrupted goes on where it stopped.
@@ -67,9 +67,9 @@ $(REPORT): $(DATA)/summary.json $(ENCODER)/summary.json $(AGENT)/summary.json
 
 # What is finished is skipped: an interrupted `make paper` goes on where it stopped.
 paper: $(READY)
-	$(BIN)/python tools/run_paper.py
-	$(BIN)/python tools/record_paper.py
-	$(BIN)/python tools/compare_samplers.py
+	$(BIN)/python -m tools.record.run_paper
+	$(BIN)/python -m tools.record.paper
+	$(BIN)/python -m tools.compare.samplers
 
 format: $(READY)
 	$(BIN)/ruff check --fix-only --quiet .
@@ -79,7 +79,7 @@ check: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(BIN)/python tools/import_all_modules.py
+	$(BIN)/python tools/install/import_all_modules.py
 
 # A warning, such as a link to nowhere, is an error. The variable silences an advertisement, not a warning.
 docs: $(READY)
@@ -92,13 +92,13 @@ test: $(READY)
 
 # Screenshots are kept in .browser-tests/.
 test-browser: $(READY)
-	@sh tools/install_browser.sh
+	@sh tools/install/browser.sh
 	$(BIN)/python -m pytest -m browser tests/browser
 
 build: $(READY)
 	rm -rf build dist
 	$(BIN)/python -m build --wheel
-	sh tools/smoke_test_wheel.sh
+	sh tools/install/smoke_test_wheel.sh
 
 clean:
 	rm -rf build dist site *.egg-info .mypy_cache .ruff_cache .pytest_cache

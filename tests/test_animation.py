@@ -3,10 +3,11 @@
 from pathlib import Path
 
 import cv2
-import make_animation
 import numpy as np
 import pytest
 from numpy import ndarray
+
+from tools.pictures import animation
 
 
 def read(path: Path) -> list[ndarray]:
@@ -21,13 +22,13 @@ def test_the_moving_picture_shows_each_action_beside_what_z_decodes_to(
 ):
     out = tmp_path / "agent.webp"
     words = ["--agent", str(tiny_agent), "--out", str(out), "--seeds", "3", "--every", "1", "--hold", "0.5"]
-    monkeypatch.setattr("sys.argv", ["make_animation.py", *words])
-    make_animation.main()
+    monkeypatch.setattr("sys.argv", ["animation.py", *words])
+    animation.main()
     assert "seed 3: " in capsys.readouterr().out
 
     frames = read(out)
     assert len(frames) == 11 + 2  # 20 environment steps at action repeat 2, and the reset; the last one stays 0.5 s
-    scene, cell, gap = make_animation.SCENE, make_animation.CELL, make_animation.GAP
+    scene, cell, gap = animation.SCENE, animation.CELL, animation.GAP
     top, views = 18 + gap, 2  # below a line of text; of the tiny encoder
     assert frames[0].shape[1] == scene + 4 * cell + 3 * gap + 4 * gap
     first, last = (frames[i][top : top + scene, :scene].astype(int) for i in (0, -1))

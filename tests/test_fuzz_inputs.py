@@ -1,17 +1,17 @@
 """Mutated files of every kind, read by the real commands and loaders: a result or one sentence, and nothing else.
 
-``tools/fuzz_inputs.py`` does the same at length.
+``tools/fuzz/inputs.py`` does the same at length.
 """
 
 import pickle
 import random
 from pathlib import Path
 
-import fuzz_inputs
-import mutations
 import numpy as np
 import pytest
-from fuzz_targets import KINDS, OUTCOMES, Base, Targets
+
+from tools.fuzz import inputs, mutations
+from tools.fuzz.targets import KINDS, OUTCOMES, Base, Targets
 
 NUMBERS = range(1000, 1020)
 
@@ -23,7 +23,7 @@ def base(tiny_recipe: Path, tiny_dataset: Path, tiny_encoder: Path, tiny_agent: 
 
 
 def test_mutated_files_give_a_result_or_a_sentence(base: Base):
-    table, examples = fuzz_inputs.fuzz(base, KINDS, NUMBERS, seed="short", every=10**6)
+    table, examples = inputs.fuzz(base, KINDS, NUMBERS, seed="short", every=10**6)
     assert not examples, examples[0]["text"]
     for kind in KINDS:
         assert sum(table[kind].values()) == len(NUMBERS)

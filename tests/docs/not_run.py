@@ -11,13 +11,13 @@ LINES = {
     "nerf-rl train-rl --encoder hf://USER/NAME@COMMIT --out runs/agent": "the same",
     "nerf-rl evaluate --run hf://USER/NAME --out runs/evaluation": "the same",
     "python -m rl_zoo3.plots.plot_train -a ddpg -e drawer-open -f runs -y success": (
-        "a program of others, which no extra installs; tests/rl/test_zoo_files.py reads the files as it does"
+        "a program of others, which no extra installs; tests/rl/training/test_zoo_files.py reads the files as it does"
     ),
     "python -m rl_zoo3.plots.all_plots -a ddpg -e drawer-open -f runs": "the same",
     "pip install optuna-dashboard": "needs the internet",
     "optuna-dashboard runs/tune/study.journal": "a program of others, which no extra installs",
     "nerf-rl doctor": "takes half a minute, and is run as a whole in tests/doctor/test_doctor.py",
-    "nerf-rl pretrain ... --devices 2": "run on two processes in tests/pretrain/test_pretrain_devices.py",
+    "nerf-rl pretrain ... --devices 2": "run on two processes in tests/pretrain/execution/test_pretrain_devices.py",
     "torchrun --nproc-per-node 2 -m nerf_rl.cli pretrain ... --devices 2": "the same under another launcher",
     "srun --nodes 2 --ntasks-per-node 4 --gpus-per-node 4 nerf-rl pretrain ... --devices 4 --nodes 2": "a cluster's",
     "nerf-rl tune --config rl/tune.yaml --storage mysql://user:password@host/tune --study drawer --out runs/tune": (

@@ -6,11 +6,12 @@ import re
 from pathlib import Path
 
 import pytest
-import record_choices
 import yaml
 from code_blocks import ROOT, SHELL, Block, blocks, pages
 from not_run import LINES, LISTINGS, TEXTS
 from world import SMALLER, commands_of
+
+from tools.record import choices
 
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 MOST_BYTES = 300_000  # of a picture
@@ -108,9 +109,9 @@ def test_what_pages_import_from_the_package_is_in_the_api_reference() -> None:
 
 
 def test_the_tables_of_choices_hold_what_the_result_files_say() -> None:
-    text = record_choices.PAGE.read_text()
-    for name, table in record_choices.tables().items():
-        assert f"<!-- table: {name} -->\n{table}\n<!-- end -->" in text, "run tools/record_choices.py"
+    text = choices.PAGE.read_text()
+    for name, table in choices.tables().items():
+        assert f"<!-- table: {name} -->\n{table}\n<!-- end -->" in text, "run tools/record/choices.py"
 
 
 def test_the_gallery_shows_every_task_of_metaworld() -> None:

@@ -4,10 +4,10 @@ import csv
 from pathlib import Path
 
 import pytest
+from tiny_recipes import TINY_TRAINING
 
 from nerf_rl import cli
 from nerf_rl.files.tensor_files import read_tensors
-from tests.tiny_recipes import TINY_TRAINING
 
 TD3 = '''
 """Target policy smoothing (Fujimoto et al. 2018, section 5.3) on this project's DDPG."""

@@ -5,10 +5,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from classical_functions import CLASSICAL, Classical
 from numpy import ndarray
 
 from nerf_rl.tuning.whale import MODES, minimise, next_positions
+from tools.bench.classical_functions import CLASSICAL, Classical
 
 
 def published_program(

@@ -1,0 +1,87 @@
+"""Environments of one's own: registered with Gymnasium, of the examples and of this file, and tiny encoders of them."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+from tiny_recipes import TINY_DATASET, TINY_PRETRAINING, TINY_TRAINING
+
+from nerf_rl import cli
+
+ROOT = Path(__file__).parents[1]
+RECIPE = str(ROOT / "rl" / "gym.yaml")
+CAMERAS = "rig: {encoder: [view_0, view_1], test: [view_2], random: {count: 1}}\n"
+BLOCK = "gym/reach_block:ReachBlock-v0"
+
+
+class Slider(gymnasium.Env):
+    """A mass on a rail that has to come to a goal; the observation is a goal environment's dictionary."""
+
+    XML = """<mujoco><worldbody><geom type="plane" size="1 1 0.1"/><body name="cart"><joint name="rail" type="slide"
+    axis="1 0 0" damping="1"/><geom size="0.05"/></body></worldbody><actuator><motor joint="rail" gear="3"
+    ctrlrange="-2 2" ctrllimited="true"/></actuator></mujoco>"""
+
+    def __init__(self) -> None:
+        self.model = mujoco.MjModel.from_xml_string(self.XML)
+        self.data = mujoco.MjData(self.model)
+        self.action_space = gymnasium.spaces.Box(-2.0, 2.0, (1,), np.float32)
+        parts = {"observation": 2, "achieved_goal": 1, "desired_goal": 1}
+        boxes = {name: gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float64) for name, size in parts.items()}
+        self.observation_space = gymnasium.spaces.Dict(boxes)
+        self.goal = np.zeros(1)
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict[str, Any], dict]:
+        super().reset(seed=seed)
+        mujoco.mj_resetData(self.model, self.data)
+        mujoco.mj_forward(self.model, self.data)
+        self.goal = self.np_random.uniform(-0.3, 0.3, 1)
+        return self._get_obs(), {}
+
+    def step(self, action: np.ndarray) -> tuple[dict[str, Any], float, bool, bool, dict]:
+        self.data.ctrl[:] = action
+        mujoco.mj_step(self.model, self.data, 10)
+        reward = self.compute_reward(self.data.qpos, self.goal, {})
+        return self._get_obs(), reward, False, False, {"is_success": np.float32(reward == 0.0)}
+
+    def compute_reward(self, achieved: np.ndarray, desired: np.ndarray, info: dict) -> float:
+        """Take one goal at a time, as an environment may."""
+        assert achieved.shape == desired.shape == (1,)
+        return -float(abs(achieved - desired)[0] > 0.05)
+
+    def _get_obs(self) -> dict[str, Any]:
+        state = np.concatenate([self.data.qpos, self.data.qvel])
+        return {"observation": state, "achieved_goal": self.data.qpos.copy(), "desired_goal": self.goal.copy()}
+
+
+gymnasium.register("Slider-v0", entry_point=Slider, max_episode_steps=20)
+SLIDER = "gym/own_environments:Slider-v0"
+
+
+@pytest.fixture(autouse=True)
+def findable(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let worker processes import the example and this file, as a user's PYTHONPATH does."""
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    assert str(Path(__file__).parent) in sys.path
+
+
+def train(out: Path, *arguments: str) -> int:
+    return cli.main(["train-rl", "--config", RECIPE, "--out", str(out), *TINY_TRAINING, *arguments])
+
+
+def make_encoder(scene: str, folder: Path) -> Path:
+    """Return a tiny encoder of a scene, made in a folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(ROOT / "examples"))
+        before, _, after = TINY_DATASET.partition("rig:")
+        rest = after[after.index("validation_fraction") :]
+        (folder / "data.yaml").write_text(before.replace("metaworld/drawer-open-v3", scene) + CAMERAS + rest)
+        (folder / "pretrain.yaml").write_text(TINY_PRETRAINING)
+        data, encoder = folder / "data", folder / "encoder"
+        assert cli.main(["gen-dataset", "--config", str(folder / "data.yaml"), "--out", str(data)]) == 0
+        words = ["--config", str(folder / "pretrain.yaml"), "--data", str(data), "--out", str(encoder)]
+        assert cli.main(["pretrain", *words]) == 0
+    return encoder

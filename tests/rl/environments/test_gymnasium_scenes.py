@@ -1,0 +1,185 @@
+"""Agents in Gymnasium environments: from the true state, from a latent, with goals, and in a scene of one's own."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from own_environments import BLOCK, RECIPE, ROOT, SLIDER, Slider, findable, make_encoder, train  # noqa: F401  findable is a fixture
+
+from nerf_rl import cli
+from nerf_rl.errors import UserError
+from nerf_rl.rl.environments.goals import GoalTask
+from nerf_rl.rl.environments.make import EnvSpec, make_env, make_goal_task
+from nerf_rl.rl.environments.wrappers import with_flat_observation, with_unit_actions
+from nerf_rl.rl.rollout import rollout
+from nerf_rl.scenes.base import success_in
+from nerf_rl.scenes.make import make_scene
+
+REACHER = "gym/Reacher-v5"
+CHEETAH = "gym/HalfCheetah-v5"  # it travels, and its encoder's cameras with it
+
+
+@pytest.fixture(scope="module", params=[REACHER, BLOCK, CHEETAH])
+def encoder_of(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
+    """A scene's name and a tiny encoder of it."""
+    return request.param, make_encoder(request.param, tmp_path_factory.mktemp("gym"))
+
+
+@pytest.fixture(scope="module")
+def agent_of(encoder_of: tuple[str, Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
+    """A scene's name and a tiny agent that sees it through a tiny encoder; tests leave it as it is."""
+    scene, encoder = encoder_of
+    run = tmp_path_factory.mktemp("gym") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(ROOT / "examples"))
+        assert train(run, "--scene", scene, "--encoder", str(encoder), "--episode_steps", "10") == 0
+    return scene, run
+
+
+def test_a_latent_agent_trains_evaluates_and_is_shown(agent_of: tuple[str, Path], tmp_path: Path):
+    scene, run = agent_of
+    test = tmp_path / "test"
+    words = ["--run", str(run), "--out", str(test), "--episodes", "2", "--video", "true", "--video_episodes", "1"]
+    assert cli.main(["evaluate", *words, "--video_size", "64"]) == 0
+    assert (test / "episodes.mp4").stat().st_size > 1000
+    page = tmp_path / "page.html"
+    assert cli.main(["report", "--agent", str(run), "--out", str(page), "--episodes", "1"]) == 0
+    assert cli.main(["view", str(run), "--save", str(tmp_path / "view.html"), "--episodes", "1"]) == 0
+    tells = scene == BLOCK
+    for folder in (run, test):
+        summary = json.loads((folder / "summary.json").read_text())
+        assert ("success_rate" in summary.get("evaluations", [summary])[-1]) == tells
+    assert ("95 % interval" in page.read_text()) == tells  # in words, table and caption
+
+
+def test_a_latent_agent_knows_its_joints_and_nothing_else(encoder_of: tuple[str, Path]):
+    """Where the target or the block is has to come through the cameras."""
+    scene, encoder = encoder_of
+    env, made = make_env(EnvSpec(scene, str(encoder), 1, 20))
+    assert made is not None
+    forbidden = ("target", "block", "goal")
+    assert made.proprio_names and not [n for n in made.proprio_names if any(word in n for word in forbidden)]
+    observation, _ = env.reset(seed=0)
+    joints = made.data.qpos[: (len(made.proprio_names)) // 2]
+    np.testing.assert_allclose(observation[8 : 8 + len(joints)], joints, rtol=1e-5)
+    env.close()
+
+
+def test_a_video_is_of_the_scene_and_not_of_a_table_elsewhere(agent_of: tuple[str, Path]):
+    scene, run = agent_of
+    episode = rollout(run, view_size=64)
+    assert (episode.success is None) == (scene != BLOCK)
+    made = make_scene(scene)
+    made.env.reset(seed=0)
+    middle = episode.view[0][16:48, 16:48].reshape(-1, 3)
+    assert middle.std(0).max() > 10  # the arm, not an empty floor
+    assert (episode.view[0] != episode.view[-1]).any()
+
+
+def test_the_examples_block_begins_anywhere_before_the_arm_and_on_no_other():
+    """A hand that is held still, as a blind agent's, is above the block in few episodes."""
+    env = gymnasium.make("reach_block:ReachBlock-v0")
+    data: Any = env.unwrapped.data
+    places = []
+    for seed in [*range(100), 0]:
+        env.reset(seed=seed)
+        red, *others = (data.body(f"{colour}_block").xpos.copy() for colour in ("red", "green", "blue"))
+        assert min(np.linalg.norm(red[:2] - other[:2]) for other in others) >= 0.08
+        places.append(red)
+    np.testing.assert_array_equal(places[-1], places[0])
+    ways = np.array(places)[:, None, :2] - np.array(places)[None, :, :2]
+    assert (np.linalg.norm(ways, axis=-1) < 0.05).mean(0).max() < 0.2
+    env.close()
+
+
+def test_the_examples_episodes_are_broken_off_when_a_block_leaves_the_table():
+    env, scene = make_env(EnvSpec(BLOCK, None, 1, 60))
+    assert scene is not None
+    env.reset(seed=0)
+    rest = np.zeros(env.action_space.shape or (), np.float32)
+    assert env.step(rest)[2:4] == (False, False)
+    scene.data.joint(scene.model.body("green_block").jntadr[0]).qpos[:3] = [1.0, 1.0, -0.2]
+    assert env.step(rest)[2:4] == (False, True)  # truncated: nothing was decided
+    env.close()
+
+
+def test_actions_are_scaled_to_the_environments_own():
+    env, scene = make_env(EnvSpec("gym/Pusher-v5", None, 1, 20))
+    assert scene is not None and scene.env.action_space.high.max() == 2.0
+    assert env.action_space.low.min() == -1.0 and env.action_space.high.max() == 1.0
+    env.reset(seed=0)
+    env.step(np.full(7, 0.5, np.float32))
+    np.testing.assert_allclose(scene.data.ctrl, 1.0)
+    env.close()
+
+
+def test_what_cannot_be_acted_in_is_told(capsys: pytest.CaptureFixture[str], tmp_path: Path):
+    assert train(tmp_path / "run", "--scene", "datasets/scenes/blocks.xml") == 2
+    assert "an MJCF file has no reward" in capsys.readouterr().err
+    assert train(tmp_path / "run", "--scene", "gym/Reacher-v9") == 2
+    assert train(tmp_path / "run", "--scene", REACHER, "--replay.hindsight", "4") == 2
+    assert "--replay.hindsight needs a scene with a goal" in capsys.readouterr().err
+    assert "_workspace" not in vars(make_scene(REACHER))  # nothing is acted before cameras ask for it
+    assert not (tmp_path / "run").exists()
+    env = gymnasium.Env()
+    env.action_space = gymnasium.spaces.Box(-np.inf, np.inf, (2,))
+    with pytest.raises(UserError, match="actions of Env have no limits"):
+        with_unit_actions(env)
+    env.action_space = gymnasium.spaces.Discrete(3)
+    with pytest.raises(UserError, match="actions of Env are no vectors of numbers"):
+        with_unit_actions(env)
+    env.observation_space = gymnasium.spaces.Graph(gymnasium.spaces.Discrete(3), None)
+    with pytest.raises(UserError, match="observations of Env are no vectors of numbers"):
+        with_flat_observation(env)
+
+
+def test_dictionaries_without_goals_become_vectors():
+    env = Slider()
+    env.observation_space = gymnasium.spaces.Dict(
+        {"a": gymnasium.spaces.Box(-1, 1, (2, 2)), "b": gymnasium.spaces.Box(-1, 1, (3,))}
+    )
+    assert with_flat_observation(env).observation_space.shape == (7,)
+
+
+def test_success_is_read_under_both_names_and_absent_without():
+    assert success_in({"is_success": np.float32(1.0)}) is True
+    assert success_in({"success": 0.0, "other": 1}) is False
+    assert success_in({"reward_dist": 1.0}) is None
+
+
+def test_goals_are_exchanged_as_the_environment_would():
+    """The reward and the observation of another goal equal those of an environment whose goal that is."""
+    task = make_goal_task(EnvSpec(SLIDER, None, 1, 20))
+    assert isinstance(task, GoalTask)
+    env, scene = make_env(EnvSpec(SLIDER, None, 1, 20))
+    assert scene is not None
+    observation, _ = env.reset(seed=1)
+    np.testing.assert_allclose(task.achieved(observation), scene.data.qpos, atol=1e-6)
+    other: Any = scene.env.unwrapped
+    for goal in ([0.0], [0.2]):
+        other.goal = np.array(goal)
+        for _ in range(3):
+            wanted, reward, terminated, _, _ = env.step(np.array([0.4], np.float32))
+            relived = task.with_goal(observation, np.array(goal))
+            assert relived[-1] == np.float32(goal[0]) and (relived[:-1] == observation[:-1]).all()
+            rewards, ends = task.outcome(task.achieved(wanted)[None], np.array([goal]))
+            assert (rewards[0], ends[0]) == (reward, terminated)
+            observation = wanted
+    env.close()
+
+
+def test_hindsight_learns_a_sparse_goal_environment(tmp_path: Path):
+    assert train(tmp_path / "run", "--scene", SLIDER, "--replay.hindsight", "4") == 0
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["updates"] > 0 and 0.0 <= summary["evaluations"][-1]["success_rate"] <= 1.0
+
+
+def test_goal_environments_of_gymnasium_robotics_train_with_hindsight(tmp_path: Path):
+    pytest.importorskip("gymnasium_robotics")
+    scene = "gym/gymnasium_robotics:FetchReach-v4"
+    assert train(tmp_path / "run", "--scene", scene, "--replay.hindsight", "4") == 0
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["updates"] > 0 and "success_rate" in summary["evaluations"][-1]

@@ -1,0 +1,171 @@
+"""Sweeps over seeds as the command line runs them: whole, killed in between, with a seed that fails."""
+
+import csv
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from nerf_rl import cli
+
+ROOT = Path(__file__).parents[3]
+TINY = ["--config", str(ROOT / "rl" / "gym.yaml"), "--env_steps", "900", "--warmup_steps", "60", "--envs", "1"]
+TINY += ["--episode_steps", "30", "--learner.batch_size", "8", "--network.hidden", "[16, 16]"]
+TINY += ["--evaluation_every", "300", "--evaluation_episodes", "1", "--final_evaluation_episodes", "2"]
+TINY += ["--checkpoint_every", "50", "--log_every", "100"]
+SWEEP = [*TINY, "--seeds", "0..1", "--workers", "2"]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A whole sweep; tests leave it as it is."""
+    out = tmp_path_factory.mktemp("sweep") / "whole"
+    assert cli.main(["train-rl", *SWEEP, "--out", str(out)]) == 0
+    return out
+
+
+def start(out: Path, *arguments: str) -> subprocess.Popen:
+    """Start a sweep in a session of its own, as a terminal would."""
+    program = [sys.executable, "-m", "nerf_rl.cli", "train-rl", *SWEEP, "--out", str(out), *arguments]
+    return subprocess.Popen(program, start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def newest_checkpoint(out: Path, runs: str) -> int:
+    """Return the environment steps of the newest checkpoint of some runs, 0 if there is none."""
+    return max((int(folder.name) for folder in out.glob(f"{runs}/checkpoints/[0-9]*")), default=0)
+
+
+def wait_for_a_checkpoint(out: Path, runs: str, before: int, process: subprocess.Popen) -> None:
+    """Wait until one of the runs has a checkpoint of more than ``before`` environment steps."""
+    for _ in range(60_000):
+        if newest_checkpoint(out, runs) > before:
+            return
+        assert process.poll() is None
+        time.sleep(0.01)
+    raise AssertionError("no checkpoint came")
+
+
+def process_of(run: Path) -> int:
+    """Return the process that trains a run."""
+    wanted = f"--out={run}".encode()
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            if wanted in (folder / "cmdline").read_bytes().split(b"\0"):
+                return int(folder.name)
+        except OSError:  # it ended meanwhile
+            continue
+    raise AssertionError(f"no process trains {run}")
+
+
+def results(run: Path) -> tuple[bytes, list, list]:
+    """Return what must not depend on interruptions: the policy, the evaluations, the scalars but times."""
+    with open(run / "metrics.csv", newline="") as file:
+        rows = [{k: v for k, v in row.items() if "second" not in k} for row in csv.DictReader(file)]
+    return (
+        (run / "policy.safetensors").read_bytes(),
+        json.loads((run / "summary.json").read_text())["evaluations"],
+        rows,
+    )
+
+
+def test_each_seed_is_the_run_that_it_would_be_alone(undisturbed: Path, tmp_path: Path):
+    alone = tmp_path / "alone"
+    assert cli.main(["train-rl", *TINY, "--out", str(alone), "--seed", "1"]) == 0
+    assert results(undisturbed / "seed-1") == results(alone)
+    assert {path.name for path in (undisturbed / "seed-1").iterdir()} == {path.name for path in alone.iterdir()}
+    assert results(undisturbed / "seed-0") != results(alone)
+    assert any((undisturbed / "seed-1" / "logs").rglob("events.out.tfevents*"))
+    keys = ["--run", str(undisturbed / "seed-1"), "--out", str(tmp_path / "evaluation"), "--episodes", "2"]
+    assert cli.main(["evaluate", *keys]) == 0
+
+
+def test_a_sweep_leaves_a_summary_of_its_seeds_and_a_figure(undisturbed: Path):
+    names = {path.name for path in undisturbed.iterdir()}
+    files = {"config.yaml", "provenance.json", "summary.json", "learning_curves.png", "logs"}
+    assert names == files | {"seed-0", "seed-1"}
+    summary = json.loads((undisturbed / "summary.json").read_text())
+    assert (summary["seeds"], summary["unfinished"], summary["score"]) == ("0..1", [], "mean_return")
+    assert [run["seed"] for run in summary["runs"]] == [0, 1]
+    assert [(point["env_steps"], point["seeds"]) for point in summary["curve"]] == [(300, 2), (600, 2), (900, 2)]
+    last = [run["evaluations"][-1]["mean_return"] for run in summary["runs"]]
+    assert summary["final"]["iqm"] == pytest.approx(sum(last) / 2)
+    assert summary["final"]["iqm_low"] == min(last) and summary["final"]["iqm_high"] == max(last)
+    assert (undisturbed / "learning_curves.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_killed_as_a_whole_and_in_part_a_sweep_ends_as_the_undisturbed_one(
+    undisturbed: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+):
+    out = tmp_path / "killed"
+    process = start(out)
+    wait_for_a_checkpoint(out, "seed-*", 0, process)
+    process.kill()  # what it started is left alone
+    process.communicate()
+    assert not (out / "summary.json").exists()
+
+    before = newest_checkpoint(out, "seed-1")
+    process = start(out, "--resume", "true")
+    wait_for_a_checkpoint(out, "seed-1", before, process)
+    os.kill(process_of(out / "seed-1"), signal.SIGKILL)
+    shown, told = process.communicate(timeout=600)
+    assert process.returncode == 1
+    assert told == (
+        "nerf-rl train-rl: 1 of 2 seeds failed: 1 (ended by SIGKILL); what they said is in "
+        f"{out / 'logs'}: seed-1.log; the others are kept: go on with --resume true\n"
+    )
+    assert "\nseed 1 failed, ended by SIGKILL; " in shown and "\nseed 0, " in shown
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["unfinished"] == [1] and [run["seed"] for run in summary["runs"]] == [0]
+
+    assert cli.main(["train-rl", *SWEEP, "--out", str(out), "--resume", "true"]) == 0
+    assert "train-rl writes 2 seeds to" in (shown := capfd.readouterr().out) and ", 1 of them finished\n" in shown
+    for seed in ("seed-0", "seed-1"):
+        assert results(out / seed) == results(undisturbed / seed)
+
+
+def test_a_seed_that_fails_stops_no_other_and_its_error_is_found(
+    undisturbed: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+):
+    out = tmp_path / "failing"
+    shutil.copytree(undisturbed, out)
+    (out / "seed-0" / "summary.json").unlink()
+    (out / "seed-0" / "checkpoints" / "00000900" / "state.json").write_text("{")
+    before = (out / "seed-1" / "summary.json").stat().st_mtime_ns
+    assert cli.main(["train-rl", *SWEEP, "--seeds", "0..2", "--out", str(out), "--resume", "true"]) == 1
+    shown = capfd.readouterr()
+    assert "1 of 3 seeds failed: 0 (exit code 2)" in shown.err and "seed-0.log" in shown.err
+    assert "its state.json is damaged" in shown.out  # its last line
+    assert "its state.json is damaged" in (out / "logs" / "seed-0.log").read_text()
+    assert (out / "seed-1" / "summary.json").stat().st_mtime_ns == before  # finished ones are kept
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["unfinished"] == [0] and [run["seed"] for run in summary["runs"]] == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("keys", "sentence"),
+    [
+        (["--seeds", "0..1"], "already exists and is not empty; use --overwrite true or another --out"),
+        (["--seeds", "1..2", "--resume", "true"], "was begun with --seeds 0..1, and seed 0 would be left out"),
+        (["--seeds", "0..1", "--resume", "true", "--learner.gamma", "0.5"], "was begun with another --learner"),
+        (["--resume", "true"], "holds runs of several seeds; resume them with --seeds 0..1, or use another --out"),
+    ],
+)
+def test_a_folder_with_a_sweep_is_not_taken_for_anything_else(
+    undisturbed: Path, keys: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
+):
+    before = sorted(path.stat().st_mtime_ns for path in undisturbed.rglob("*"))
+    assert cli.main(["train-rl", *TINY, "--out", str(undisturbed), *keys]) == 2
+    assert sentence in capsys.readouterr().err
+    assert sorted(path.stat().st_mtime_ns for path in undisturbed.rglob("*")) == before
+
+
+def test_a_single_run_does_not_become_a_sweep(undisturbed: Path, capsys: pytest.CaptureFixture[str]):
+    out = str(undisturbed / "seed-0")
+    assert cli.main(["train-rl", *TINY, "--out", out, "--seeds", "0..1", "--resume", "true"]) == 2
+    assert f"{out} holds a single run; use another --out for several seeds" in capsys.readouterr().err

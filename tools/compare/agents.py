@@ -1,0 +1,140 @@
+"""Compare an agent's recipe with itself, some of its keys otherwise, over the same seeds: a result file and a table.
+
+Blind agents stand beside those that see by an encoder: what they reach needs no eyes.
+
+Run from a checkout's root; seeds that are finished are not trained again:
+
+    .venv/bin/python -m tools.compare.agents --seeds 20..29
+    .venv/bin/python -m tools.compare.agents --seeds 0..4 --encoder runs/demo/encoder
+    .venv/bin/python -m tools.compare.agents --seeds 0..4 --env_steps 50000
+    .venv/bin/python -m tools.compare.agents --seeds 0..4 --arms "the recipe" --last_weights
+"""
+
+import argparse
+import csv
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nerf_rl.files.atomic import write_text
+from nerf_rl.files.json_files import read_json, write_json
+from nerf_rl.files.outputs import PROVENANCE, SUMMARY
+from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION
+from nerf_rl.rl.sweeps.runs import GOOD, read_run, run_folder
+from nerf_rl.rl.sweeps.seed_list import parse_seeds
+from nerf_rl.rl.training.evaluation_results import SUCCESS
+from tools.compare.precision import processor
+from tools.readme_tables import markdown_table, replace_tables
+
+RESULT, README, RECIPE = Path("rl/results/ablation.json"), Path("rl/README.md"), "rl/demo.yaml"
+KEYS = ["--evaluation_every", "10000", "--evaluation_episodes", "2", "--final_evaluation_episodes", "50"]
+KEYS += ["--checkpoint_every", "30000"]
+UNBOUNDED, UNWAITING = ["--learner.bound_by_returns", "false"], ["--noise.wait_for_success", "false"]
+IMITATION = ["--learner.imitation_weight", "0.1"]
+CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]
+ARMS = {
+    "the recipe": [],
+    "targets without bounds": UNBOUNDED,
+    "exploration that does not wait": UNWAITING,
+    "neither": [*UNBOUNDED, *UNWAITING],
+    "self-imitation": IMITATION,
+    "curriculum": CURRICULUM,
+    "self-imitation and curriculum": [*IMITATION, *CURRICULUM],
+    "blind": ["--control", "blind"],
+}
+"""what is done otherwise, and the keys for it"""
+LAST_WEIGHTS, LAST_WEIGHTS_KEYS = ", last weights", ["--learner.policy_average", "0"]
+
+
+def main() -> None:
+    """Train what is missing, then write what is known of all that was ever compared."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", default="metaworld/drawer-open-v3")
+    parser.add_argument("--encoder", default="", help="what the agents see by; none for the true state")
+    parser.add_argument("--seeds", default="0..9", help="as train-rl takes them")
+    parser.add_argument("--arms", nargs="+", choices=ARMS, default=list(ARMS), help="of the state, all but blind")
+    parser.add_argument("--env_steps", type=int, default=30_000, help="of each run")
+    parser.add_argument(
+        "--last_weights", action="store_true", help="evaluate the actor's last weights, not their average"
+    )
+    parser.add_argument("--work", type=Path, default=Path("runs/agents"), help="folder of the runs")
+    arguments = parser.parse_args()
+    eyes, sees = ("latents", ["--encoder", arguments.encoder]) if arguments.encoder else ("state", [])
+    for arm in (arm for arm in arguments.arms if arguments.encoder or "--control" not in ARMS[arm]):
+        keys = [*ARMS[arm], *(LAST_WEIGHTS_KEYS if arguments.last_weights else [])]
+        arm += LAST_WEIGHTS if arguments.last_weights else ""
+        compared = f"{Path(arguments.scene).name}-{eyes}-{arguments.env_steps}"
+        folder = arguments.work / compared / arm.replace(" ", "-").replace(",", "")
+        runs = [run_folder(folder, seed) for seed in parse_seeds(arguments.seeds)]
+        if not all((run / SUMMARY).exists() for run in runs):
+            words = ["--scene", arguments.scene, *KEYS, "--env_steps", str(arguments.env_steps), *keys, *sees]
+            train([*words, "--seeds", arguments.seeds, "--out", str(folder)])
+        record(arguments.scene, eyes, arguments.env_steps, arm, keys, [row(run) for run in runs])
+
+
+def train(arguments: list[str]) -> None:
+    """Train the seeds of a sweep that are missing."""
+    command = ["nerf-rl", "train-rl", "--config", RECIPE, *arguments, "--resume", "true"]
+    subprocess.run([sys.executable, "-m", "nerf_rl.cli", *command[1:]], check=True)
+
+
+def row(run: Path) -> dict[str, Any]:
+    """Return what is told of a run, what it saw by, how many of its last training episodes succeeded, its versions."""
+    provenance = read_json(run / PROVENANCE)
+    versions = {name: provenance[name] for name in ("git_revision", "packages")}
+    facts = {"encoder": read_json(run / POLICY_DESCRIPTION)["encoder_digest"]}
+    return {**read_run(run), **facts, "late_training_success": late_training_success(run), **versions}
+
+
+def late_training_success(run: Path) -> float:
+    """Return the share of the training episodes in the last 5,000 environment steps that succeeded."""
+    with open(run / "monitor.csv", newline="") as file:
+        next(file)  # a line on the environment
+        episodes = [(int(line["l"]), line["is_success"] == "1") for line in csv.DictReader(file)]
+    ends = np.cumsum([length for length, _ in episodes])
+    return float(np.mean([success for (_, success), end in zip(episodes, ends, strict=True) if end > ends[-1] - 5000]))
+
+
+def record(scene: str, eyes: str, env_steps: int, arm: str, keys: list[str], runs: list[dict[str, Any]]) -> None:
+    """Put runs in place of those of the same seeds, and write file and table."""
+    known = read_json(RESULT)["arms"] if RESULT.exists() else []
+    what = {"scene": scene, "eyes": eyes, "env_steps": env_steps, "arm": arm}
+    same = [each for each in known if all(each[name] == value for name, value in what.items())]
+    kept = {run["seed"]: run for each in same for run in each["runs"]} | {run["seed"]: run for run in runs}
+    own = {**what, "keys": keys, "processor": processor()}
+    own["runs"] = [kept[seed] for seed in sorted(kept)]
+    order = list(ARMS)
+    arms = sorted(
+        [*(each for each in known if each not in same), own],
+        key=lambda each: (
+            *(each[name] for name in ("scene", "eyes", "env_steps")),
+            order.index(each["arm"].removesuffix(LAST_WEIGHTS)),
+            each["arm"],
+        ),
+    )
+    command = f"python -m tools.compare.agents; {RECIPE} {' '.join(KEYS)}"
+    write_json(RESULT, {"command": command, "arms": arms})
+    write_text(README, replace_tables(README.read_text(), {"agents": table(arms)}))
+
+
+def table(arms: list[dict[str, Any]]) -> str:
+    """Return a row for each arm: how often each seed succeeds at the end, the worst first."""
+    rows = []
+    for arm in arms:
+        scores = sorted(run["evaluations"][-1][SUCCESS] for run in arm["runs"])
+        seeds = sorted(run["seed"] for run in arm["runs"])
+        task = arm["scene"].removeprefix("metaworld/").removesuffix("-v3")
+        told = [f"{sum(scores) / len(scores):.0%}", f"{sum(rate >= GOOD for rate in scores)} of {len(scores)}"]
+        rates = ", ".join(f"{100 * rate:.0f}" for rate in scores)
+        encoders = {run["encoder"] for run in arm["runs"] if run.get("encoder")}
+        eyes = f"{arm['eyes']} of {len(encoders)} encoders" if len(encoders) > 1 else arm["eyes"]
+        rows.append([task, eyes, f"{arm['env_steps']:,}", arm["arm"], ", ".join(map(str, seeds)), *told, rates])
+    last = ["success, mean", f"seeds at {GOOD:.0%}", "success of each, sorted [%]"]
+    return markdown_table(["task", "from", "env steps", "agent", "seeds", *last], rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,100 @@
+"""Compare whole pretraining runs in float32 and bfloat16 at equal wall time: a result file and a README's table.
+
+Run from a checkout's root, with nothing else running:
+
+    .venv/bin/python -m tools.compare.precision data/demo [DATASET ...] [--minutes 8.5] [--seeds 0 1]
+
+The two runs of a pair go side by side with a thread each, so that whatever slows one of them slows the other; they have
+the demo's recipe and as many steps as the minutes allow. By this table `auto` chooses.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.files.atomic import write_text
+from nerf_rl.files.json_files import read_json, write_json
+from nerf_rl.files.outputs import SUMMARY
+from nerf_rl.files.versions import git_revision, package_versions
+from tools.readme_tables import markdown_table, replace_tables
+
+RESULT, README, RECIPE = Path("pretrain/results/precision.json"), Path("pretrain/README.md"), "pretrain/demo.yaml"
+PRECISIONS = ("32", "bf16")
+COMMAND = "python -m tools.compare.precision DATASETS --minutes MINUTES --seeds SEEDS"
+ENDLESS = "1000000"  # steps: the minutes end the run
+
+
+def main() -> None:
+    """Run the pairs one after another; write what is known after each, in place of this processor's runs before."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", nargs="+", type=Path, help="datasets of 64 x 64 pixels, such as data/demo")
+    parser.add_argument("--minutes", type=float, default=8.5)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    arguments = parser.parse_args()
+    own = {
+        "processor": processor(),
+        "git_revision": git_revision(),
+        "packages": package_versions(),
+        "minutes": arguments.minutes,
+    }
+    known = read_json(RESULT)["machines"] if RESULT.exists() else []
+    others = [machine for machine in known if machine["processor"] != own["processor"]]
+    runs: list[dict[str, Any]] = []
+    for data in arguments.data:
+        for seed in arguments.seeds:
+            runs += pair(data, seed, arguments.minutes)
+            machines = [*others, {**own, "runs": runs}]
+            write_json(RESULT, {"command": COMMAND, "recipe": RECIPE, "machines": machines})
+            write_text(README, replace_tables(README.read_text(), {"precision": table(machines)}))
+
+
+def pair(data: Path, seed: int, minutes: float) -> list[dict[str, Any]]:
+    """Train in both precisions side by side; return both summaries."""
+    with tempfile.TemporaryDirectory() as folder:
+        keys = ["--config", RECIPE, "--data", str(data), "--seed", str(seed), "--threads", "1"]
+        keys += ["--steps", ENDLESS, "--max_minutes", str(minutes)]
+        command = [sys.executable, "-m", "nerf_rl.cli", "pretrain", *keys]
+        processes = [
+            subprocess.Popen(
+                [*command, "--precision", name, "--out", f"{folder}/{name}"], env={**os.environ, "OMP_NUM_THREADS": "1"}
+            )
+            for name in PRECISIONS
+        ]
+        codes = [process.wait() for process in processes]
+        if any(codes):
+            raise SystemExit("a run failed")
+        scene = MultiViewDataset(data).manifest["scene"]["name"]
+        summaries = [read_json(Path(folder) / name / SUMMARY) for name in PRECISIONS]
+    return [{"scene": scene, "seed": seed, **summary} for summary in summaries]
+
+
+def table(machines: list[dict[str, Any]]) -> str:
+    """Return a row for each run on each processor."""
+    header = ["processor", "scene", "seed", "precision", "steps/s", "PSNR [dB]", "mIoU", "depth error [cm]"]
+    rows = []
+    for run in ({**run, "processor": machine["processor"]} for machine in machines for run in machine["runs"]):
+        figures = run["validation"]
+        probe = ", ".join(
+            f"{name} {figure['rmse_mm']:.1f}" for name, figure in run["probe"].items() if not name.startswith("goal")
+        )
+        quality = f"{figures['psnr_db']:.1f}", f"{figures['miou']:.2f}", f"{100 * figures['depth_mae_m']:.1f}"
+        what = run["processor"], run["scene"].removeprefix("metaworld/"), run["seed"], run["precision"]
+        rows.append([*what, f"{run['steps'] / run['training_seconds']:.1f}", *quality, probe])
+    return markdown_table([*header, "probe [mm]"], rows)
+
+
+def processor() -> str:
+    """Return the processor's name, and which instructions for bfloat16 it has."""
+    text = Path("/proc/cpuinfo").read_text()
+    name = text.partition("model name")[2].partition(":")[2].partition("\n")[0].strip()
+    flags = [flag for flag in ("avx512_bf16", "amx_bf16") if f" {flag}" in text]
+    return f"{name}, {len(os.sched_getaffinity(0))} cores ({', '.join(flags) or 'without bfloat16'})"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,106 @@
+"""Pretrain with the demo's recipes on several Meta-World tasks: a result file and a README's table.
+
+Run from a checkout's root; what is finished is not done again:
+
+    .venv/bin/python -m tools.compare.tasks drawer-open faucet-open hammer [--seeds 0 1 2] [--minutes 8]
+
+Each task has a dataset of its own for each seed. Beside every encoder stand an untrained one and a supervised one of
+the same size, which learns the true state from the same frames. Nothing but the scene and the seed differs.
+"""
+
+import argparse
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from nerf_rl.files.atomic import write_text
+from nerf_rl.files.json_files import read_json, write_json
+from nerf_rl.files.outputs import SUMMARY
+from nerf_rl.files.versions import git_revision, package_versions
+from tools.compare.precision import ENDLESS, processor
+from tools.readme_tables import markdown_table, replace_tables
+
+RESULT, README = Path("pretrain/results/tasks.json"), Path("pretrain/README.md")
+DATASET_RECIPE, RECIPE = "datasets/demo.yaml", "pretrain/demo.yaml"
+CEILING_STEPS = "1000"
+
+
+def main() -> None:
+    """Run the tasks one after another; write what is known after each."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("tasks", nargs="+", help="such as drawer-open")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    parser.add_argument("--minutes", type=float, default=8.0)
+    parser.add_argument("--threads", type=int, help="of a run; PyTorch's own choice if it is left out")
+    parser.add_argument("--work", type=Path, default=Path("data/tasks"), help="folder of datasets and runs")
+    parser.add_argument("--table", type=Path, default=RESULT, help="result file, whose other rows stay")
+    arguments = parser.parse_args()
+    for task in arguments.tasks:
+        for seed in arguments.seeds:
+            row = {**run(task, seed, arguments), **made_by(arguments)}
+            known = read_json(arguments.table)["runs"] if arguments.table.exists() else []
+            others = [other for other in known if (other["task"], other["seed"]) != (task, seed)]
+            rows = sorted([*others, row], key=lambda row: (row["task"], row["seed"]))
+            command = "python -m tools.compare.tasks TASKS --seeds SEEDS --minutes MINUTES --threads THREADS"
+            write_json(arguments.table, {"command": command, "recipes": [DATASET_RECIPE, RECIPE], "runs": rows})
+            if arguments.table == RESULT:
+                write_text(README, replace_tables(README.read_text(), {"tasks": table(rows)}))
+
+
+def run(task: str, seed: int, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Render, train and probe; return the figures."""
+    data, encoder, probe = (arguments.work / f"{task}-{seed}" / name for name in ("data", "encoder", "probe"))
+    scene = ["--scene", f"metaworld/{task}-v3", "--seed", str(seed)]
+    command(data, "gen-dataset", "--config", DATASET_RECIPE, *scene, "--out", str(data), "--resume", "true")
+    keys = ["--steps", ENDLESS, "--max_minutes", str(arguments.minutes), "--seed", str(seed), "--resume", "true"]
+    keys += ["--threads", str(arguments.threads)] if arguments.threads else []
+    command(encoder, "pretrain", "--config", RECIPE, "--data", str(data), "--out", str(encoder), *keys)
+    keys = ["--ceiling_steps", CEILING_STEPS, "--seed", str(seed), "--overwrite", "true"]
+    command(probe, "probe", "--encoder", str(encoder), "--data", str(data), "--out", str(probe), *keys)
+    return {"task": task, "seed": seed, **read_json(encoder / SUMMARY), **read_json(probe / SUMMARY)}
+
+
+def made_by(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what a row of figures was made by."""
+    versions = {"git_revision": git_revision(), "packages": package_versions(), "processor": processor()}
+    return {**versions, "minutes": arguments.minutes, "threads": arguments.threads}
+
+
+def command(out: Path, *words: str) -> None:
+    """Run a command of nerf-rl unless its summary is there."""
+    if not (out / SUMMARY).is_file():
+        subprocess.run([sys.executable, "-m", "nerf_rl.cli", *words], check=True)
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Return a row for each task and seed; of every state column the encoder's, untrained and supervised RMSE."""
+    header = [
+        "task",
+        "seed",
+        "steps",
+        "PSNR [dB]",
+        "depth error [cm]",
+        "IoU of the classes",
+        "probe (untrained, supervised) [mm]",
+    ]
+    lines = []
+    for row in rows:
+        figures = row["validation"]
+        classes = ", ".join(
+            f"{name} {iou:.2f}" for name, iou in row["class_iou"].items() if iou is not None and name != "background"
+        )
+        columns = ", ".join(
+            f"{name} {figure['rmse_mm']:.1f} ({row['probe_random_encoder'][name]['rmse_mm']:.0f}, "
+            f"{row['probe_supervised_encoder'][name]['rmse_mm']:.1f})"
+            for name, figure in row["probe"].items()
+        )
+        depth = f"{100 * figures['depth_mae_m']:.1f}"
+        lines.append(
+            [row["task"], row["seed"], f"{row['steps']:,}", f"{figures['psnr_db']:.1f}", depth, classes, columns]
+        )
+    return markdown_table(header, lines)
+
+
+if __name__ == "__main__":
+    main()

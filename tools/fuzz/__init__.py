@@ -1,0 +1,1 @@
+"""Mutate files that are handed in, and see what becomes of them."""

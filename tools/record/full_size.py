@@ -1,0 +1,53 @@
+"""Record runs of the full-size recipe: a result file and a README's table.
+
+Run from a checkout's root, with finished runs on one dataset, the longest last:
+
+    .venv/bin/python -m tools.record.full_size runs/full-10-minutes runs/full
+"""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from nerf_rl.files.atomic import write_text
+from nerf_rl.files.json_files import write_json
+from tools.compare.precision import processor
+from tools.readme_tables import markdown_table, replace_tables
+from tools.record.demo import read_result
+
+RESULT, README = Path("pretrain/results/full_size.json"), Path("pretrain/README.md")
+_ROLES = {"test": "a camera that the run never saw", "supervision": "random poses"}
+
+
+def main() -> None:
+    """Copy summaries with their provenance; write the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("runs", nargs="+", type=Path, help="finished runs of pretrain")
+    runs = [read_result(run) for run in parser.parse_args().runs]
+    write_json(RESULT, {"processor": processor(), "runs": runs})
+    write_text(README, replace_tables(README.read_text(), {"full-size": table(runs)}))
+
+
+def table(runs: list[dict[str, Any]]) -> str:
+    """Return a row for each run and each role of cameras; probes stand beside the encoder's own cameras."""
+    header = ["steps", "training [min]", "seen from", "PSNR [dB]", "SSIM", "mIoU", "depth error [cm]", "probe [mm]"]
+    rows = []
+    for run in runs:
+        probe = ", ".join(
+            f"{name} {figure['rmse_mm']:.1f}" for name, figure in run["probe"].items() if not name.startswith("goal")
+        )
+        others = run["validation_other_cameras"]
+        rows.append([f"{run['steps']:,}", f"{run['training_seconds'] / 60:.0f}", "the encoder's cameras"])
+        rows[-1] += [*pictures(run["validation"]), probe]
+        rows += [["", "", told, *pictures(others[role]), ""] for role, told in _ROLES.items() if role in others]
+    return markdown_table(header, rows)
+
+
+def pictures(figures: dict[str, float]) -> list[str]:
+    """Return what pictures of held-out frames are like."""
+    depth = f"{100 * figures['depth_mae_m']:.1f}"
+    return [f"{figures['psnr_db']:.1f}", f"{figures['ssim']:.2f}", f"{figures['miou']:.2f}", depth]
+
+
+if __name__ == "__main__":
+    main()
