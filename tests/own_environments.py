@@ -1,6 +1,5 @@
 """Environments of one's own: registered with Gymnasium, of the examples and of this file, and tiny encoders of them."""
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -59,13 +58,6 @@ class Slider(gymnasium.Env):
 
 gymnasium.register("Slider-v0", entry_point=Slider, max_episode_steps=20)
 SLIDER = "gym/own_environments:Slider-v0"
-
-
-@pytest.fixture(autouse=True)
-def findable(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let worker processes import the example and this file, as a user's PYTHONPATH does."""
-    monkeypatch.syspath_prepend(str(ROOT / "examples"))
-    assert str(Path(__file__).parent) in sys.path
 
 
 def train(out: Path, *arguments: str) -> int:

@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from own_environments import BLOCK, RECIPE, ROOT, SLIDER, Slider, findable, make_encoder, train  # noqa: F401  findable is a fixture
+from own_environments import BLOCK, ROOT, SLIDER, Slider, make_encoder, train
 
 from nerf_rl import cli
 from nerf_rl.errors import UserError
@@ -17,6 +17,8 @@ from nerf_rl.rl.environments.wrappers import with_flat_observation, with_unit_ac
 from nerf_rl.rl.rollout import rollout
 from nerf_rl.scenes.base import success_in
 from nerf_rl.scenes.make import make_scene
+
+pytestmark = pytest.mark.usefixtures("findable")
 
 REACHER = "gym/Reacher-v5"
 CHEETAH = "gym/HalfCheetah-v5"  # it travels, and its encoder's cameras with it

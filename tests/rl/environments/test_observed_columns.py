@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from own_environments import BLOCK, SLIDER, findable, make_encoder, train  # noqa: F401  findable is a fixture
+from own_environments import BLOCK, SLIDER, make_encoder, train
 
 from nerf_rl import cli
 from nerf_rl.errors import UserError
@@ -17,6 +17,8 @@ from nerf_rl.rl.environments.observed_columns import ObservedColumns
 from nerf_rl.rl.rollout import rollout
 from nerf_rl.scenes.base import Scene
 from nerf_rl.scenes.make import make_scene
+
+pytestmark = pytest.mark.usefixtures("findable")
 
 
 @pytest.fixture(scope="module")
