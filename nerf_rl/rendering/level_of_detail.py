@@ -5,6 +5,7 @@ than a crease angle stay sharp: normals are averaged only over adjacent faces th
 """
 
 import copy
+import functools
 
 import fast_simplification
 import mujoco
@@ -64,14 +65,8 @@ def _replace_mesh(simplified: mujoco.MjModel, model: mujoco.MjModel, mesh: int, 
     first_normal, normal_count = model.mesh_normaladr[mesh], model.mesh_normalnum[mesh]
     vertices = model.mesh_vert[first_vertex:][: model.mesh_vertnum[mesh]]
     faces = model.mesh_face[first_face:][: model.mesh_facenum[mesh]]
-
-    welded, index = np.unique(vertices, axis=0, return_inverse=True)  # simplification needs shared vertices
-    vertices, faces = fast_simplification.simplify(
-        welded.astype(np.float32), index[faces].astype(np.int32), target_count=target, agg=_AGGRESSIVENESS
-    )
-    faces = faces[_area_vectors(vertices, faces).any(axis=1)]  # a triangle without area has no normal
-    normals, corners = corner_normals(vertices, faces.astype(np.int64))
-    if not 0 < len(faces) <= model.mesh_facenum[mesh] or len(vertices) > len(welded) or len(normals) > normal_count:
+    distinct, vertices, faces, normals, corners = _simplify(vertices.tobytes(), faces.tobytes(), target)
+    if not 0 < len(faces) <= model.mesh_facenum[mesh] or len(vertices) > distinct or len(normals) > normal_count:
         return
     simplified.mesh_facenum[mesh] = len(faces)
     simplified.mesh_vertnum[mesh] = len(vertices)
@@ -80,6 +75,28 @@ def _replace_mesh(simplified: mujoco.MjModel, model: mujoco.MjModel, mesh: int, 
     simplified.mesh_face[first_face:][: len(faces)] = faces
     simplified.mesh_normal[first_normal:][: len(normals)] = normals
     simplified.mesh_facenormal[first_face:][: len(faces)] = corners
+
+
+@functools.lru_cache(maxsize=256)
+def _simplify(vertices: bytes, faces: bytes, target: int) -> tuple[int, ndarray, ndarray, ndarray, ndarray]:
+    """Simplify a mesh; remembered, since renderers are made again and again of the same meshes, each in 0.2 s.
+
+    Args:
+        vertices: float32 [V, 3].
+        faces: int32 [F, 3].
+        target: triangles to end with.
+
+    Returns:
+        How many vertices were distinct, then the new mesh: vertices, faces, normals, and the normal of each corner.
+    """
+    found = np.frombuffer(vertices, np.float32).reshape(-1, 3), np.frombuffer(faces, np.int32).reshape(-1, 3)
+    welded, index = np.unique(found[0], axis=0, return_inverse=True)  # simplification needs shared vertices
+    fewer, triangles = fast_simplification.simplify(
+        welded, index[found[1]].astype(np.int32), target_count=target, agg=_AGGRESSIVENESS
+    )
+    triangles = triangles[_area_vectors(fewer, triangles).any(axis=1)]  # a triangle without area has no normal
+    normals, corners = corner_normals(fewer, triangles.astype(np.int64))
+    return len(welded), fewer, triangles, normals, corners
 
 
 def corner_normals(
