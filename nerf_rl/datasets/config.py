@@ -20,7 +20,7 @@ class BehaviourConfig:
     """How episodes are acted: each draws one behaviour by weight."""
 
     random: Annotated[float, Limits(least=0, most=10**6)] = 0.3
-    """weight of random actions, each held for a few steps"""
+    """weight of random actions, each held for 3 to longest_hold steps"""
     scripted: Annotated[float, Limits(least=0, most=10**6)] | None = None
     """weight of the task's scripted policy; none: 0.2 if it has one"""
     noisy: Annotated[float, Limits(least=0, most=10**6)] | None = None
@@ -31,6 +31,9 @@ class BehaviourConfig:
     """what to replay: a dataset of the same model, or an .npz file with qpos [T, nq] or [E, T, nq], and perhaps qvel"""
     noise: Annotated[float, Limits(least=0, most=10**6)] = 0.6
     """standard deviation of the noise on scripted actions (actions are in [-1, 1])"""
+    longest_hold: Annotated[int, Limits(least=3, most=10**6)] = 14
+    """most steps for which an action is held in random episodes; the longer, the more often it leads to the ends of
+    where the robot can go, to which an agent that explores comes as well"""
 
     def __post_init__(self) -> None:
         check_values(self, "behaviour.")

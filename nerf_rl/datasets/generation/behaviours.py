@@ -15,7 +15,8 @@ from nerf_rl.datasets.generation.stored_states import StoredStates, open_states,
 from nerf_rl.errors import UserError
 from nerf_rl.scenes.base import Policy, Scene, success_in
 
-_HOLD = (3, 15)  # steps for which a random action is held, so that it leads somewhere
+_SHORTEST_HOLD = 3  # steps for which a random action is held, so that it leads somewhere
+_LONGEST_DETOUR = 14  # steps; what comes after it in a noisy episode must still have time to succeed
 _DETOUR_PROBABILITY = 0.03  # a step, in noisy episodes
 _UNLIMITED = 1.0  # of actions without limits
 _DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
@@ -89,9 +90,11 @@ class Behaviour:
         observation, _ = env.reset(seed=int(rng.integers(2**31)))
         reward, success, since_reset = 0.0, False, 0
         held, held_until = np.zeros(space.shape), 0
+        longest = self._config.longest_hold if policy is None else _LONGEST_DETOUR
         for step in range(self._steps + 1):
             if step >= held_until and (policy is None or (noisy and rng.random() < _DETOUR_PROBABILITY)):
-                held, held_until = rng.uniform(low, high), step + int(rng.integers(*_HOLD))
+                held = rng.uniform(low, high)
+                held_until = step + int(rng.integers(_SHORTEST_HOLD, longest + 1))
             if policy is None or step < held_until:
                 action = held
             else:

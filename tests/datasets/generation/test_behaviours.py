@@ -1,5 +1,7 @@
 """How episodes are acted, on a toy scene that remembers every action."""
 
+import dataclasses
+
 import gymnasium
 import numpy as np
 import pytest
@@ -101,11 +103,14 @@ def test_scripted_episodes_follow_the_policy_exactly():
         np.testing.assert_allclose(moment.action, policy(moment.observation), rtol=1e-6)
 
 
-def test_random_actions_are_held_for_a_few_steps_and_differ_afterwards():
-    actions = np.stack([moment.action for moment in act(RANDOM, 600)])
+@pytest.mark.parametrize("longest", [14, 40])
+def test_random_actions_are_held_for_a_few_steps_and_differ_afterwards(longest: int):
+    held = dataclasses.replace(RANDOM, longest_hold=longest)
+    actions = np.stack([moment.action for moment in act(held, 3000)])
     changes = np.flatnonzero((actions[1:] != actions[:-1]).any(1)) + 1
     lengths = np.diff([0, *changes])
-    assert lengths.min() >= 3 and lengths.max() <= 14 and len(lengths) > 40
+    assert 3 <= lengths.min() <= 4 and longest - 2 <= lengths.max() <= longest
+    assert lengths.mean() == pytest.approx((3 + longest) / 2, rel=0.2)
     drawn = actions[changes]
     assert drawn.min() < -0.8 and drawn.max() > 0.8 and np.abs(drawn.mean(0)).max() < 0.3
 
@@ -120,6 +125,12 @@ def test_noisy_episodes_follow_the_policy_with_noise_and_make_detours():
     assert 0.05 < held.mean() < 0.4
     free = ~held & ~np.roll(held, -1)
     assert noise[free].std() == pytest.approx(0.3, abs=0.05) and abs(noise[free].mean()) < 0.05
+
+
+def test_detours_of_noisy_episodes_stay_short_however_long_random_actions_are_held():
+    longer = dataclasses.replace(NOISY, longest_hold=90)
+    for mine, theirs in zip(act(longer, 200, 7), act(NOISY, 200, 7), strict=True):
+        np.testing.assert_array_equal(mine.action, theirs.action)
 
 
 def test_each_episode_draws_one_behaviour_by_weight():
