@@ -30,8 +30,10 @@ from tools.compare.precision import processor
 from tools.readme_tables import markdown_table, replace_tables
 
 RESULT, README, RECIPE = Path("rl/results/ablation.json"), Path("rl/README.md"), "rl/demo.yaml"
-KEYS = ["--evaluation_every", "10000", "--evaluation_episodes", "2", "--final_evaluation_episodes", "50"]
-KEYS += ["--checkpoint_every", "30000"]
+ON_THE_WAY, EPISODES = 30_000, 50
+"""environment steps after which longer runs are evaluated, too, and the episodes of every evaluation"""
+KEYS = ["--evaluation_every", str(ON_THE_WAY), "--checkpoint_every", str(ON_THE_WAY)]
+KEYS += ["--evaluation_episodes", str(EPISODES), "--final_evaluation_episodes", str(EPISODES)]
 UNBOUNDED, UNWAITING = ["--learner.bound_by_returns", "false"], ["--noise.wait_for_success", "false"]
 IMITATION = ["--learner.imitation_weight", "0.1"]
 CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]
@@ -54,6 +56,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", default="metaworld/drawer-open-v3")
     parser.add_argument("--encoder", default="", help="what the agents see by; none for the true state")
+    parser.add_argument("--eyes", help="what to call what they see by, where encoders differ by more than their seed")
     parser.add_argument("--seeds", default="0..9", help="as train-rl takes them")
     parser.add_argument("--arms", nargs="+", choices=ARMS, default=list(ARMS), help="of the state, all but blind")
     parser.add_argument("--env_steps", type=int, default=30_000, help="of each run")
@@ -63,11 +66,12 @@ def main() -> None:
     parser.add_argument("--work", type=Path, default=Path("runs/agents"), help="folder of the runs")
     arguments = parser.parse_args()
     eyes, sees = ("latents", ["--encoder", arguments.encoder]) if arguments.encoder else ("state", [])
+    eyes = arguments.eyes or eyes
     for arm in (arm for arm in arguments.arms if arguments.encoder or "--control" not in ARMS[arm]):
         keys = [*ARMS[arm], *(LAST_WEIGHTS_KEYS if arguments.last_weights else [])]
         arm += LAST_WEIGHTS if arguments.last_weights else ""
         compared = f"{Path(arguments.scene).name}-{eyes}-{arguments.env_steps}"
-        folder = arguments.work / compared / arm.replace(" ", "-").replace(",", "")
+        folder = arguments.work / compared.replace(" ", "-") / arm.replace(" ", "-").replace(",", "")
         runs = [run_folder(folder, seed) for seed in parse_seeds(arguments.seeds)]
         if not all((run / SUMMARY).exists() for run in runs):
             words = ["--scene", arguments.scene, *KEYS, "--env_steps", str(arguments.env_steps), *keys, *sees]
@@ -121,19 +125,28 @@ def record(scene: str, eyes: str, env_steps: int, arm: str, keys: list[str], run
 
 
 def table(arms: list[dict[str, Any]]) -> str:
-    """Return a row for each arm: how often each seed succeeds at the end, the worst first."""
+    """Return a row for each arm: how often each seed succeeds at the end, and at 30,000 on the way; the worst first."""
     rows = []
     for arm in arms:
         scores = sorted(run["evaluations"][-1][SUCCESS] for run in arm["runs"])
+        halfway = sorted(found for run in arm["runs"] if (found := on_the_way(run)) is not None)
         seeds = sorted(run["seed"] for run in arm["runs"])
         task = arm["scene"].removeprefix("metaworld/").removesuffix("-v3")
         told = [f"{sum(scores) / len(scores):.0%}", f"{sum(rate >= GOOD for rate in scores)} of {len(scores)}"]
-        rates = ", ".join(f"{100 * rate:.0f}" for rate in scores)
+        rates, earlier = (", ".join(f"{100 * rate:.0f}" for rate in each) for each in (scores, halfway))
         encoders = {run["encoder"] for run in arm["runs"] if run.get("encoder")}
-        eyes = f"{arm['eyes']} of {len(encoders)} encoders" if len(encoders) > 1 else arm["eyes"]
-        rows.append([task, eyes, f"{arm['env_steps']:,}", arm["arm"], ", ".join(map(str, seeds)), *told, rates])
-    last = ["success, mean", f"seeds at {GOOD:.0%}", "success of each, sorted [%]"]
+        eyes = f"{arm['eyes']}, {len(encoders)} encoders" if len(encoders) > 1 else arm["eyes"]
+        told += [rates, earlier]
+        rows.append([task, eyes, f"{arm['env_steps']:,}", arm["arm"], ", ".join(map(str, seeds)), *told])
+    last = ["success, mean", f"seeds at {GOOD:.0%}", "success of each, sorted [%]", f"at {ON_THE_WAY:,} [%]"]
     return markdown_table(["task", "from", "env steps", "agent", "seeds", *last], rows)
+
+
+def on_the_way(run: dict[str, Any]) -> float | None:
+    """Return a longer run's success at 30,000 environment steps; None if it was not evaluated there in all episodes."""
+    before_the_last = run["evaluations"][:-1]
+    found = [each for each in before_the_last if each["env_steps"] == ON_THE_WAY and each["episodes"] == EPISODES]
+    return found[0][SUCCESS] if found else None
 
 
 if __name__ == "__main__":
