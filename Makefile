@@ -20,6 +20,8 @@ DATA_KEYS :=
 # Two thirds of the recipe's training, so that the demo is over in twelve minutes; ENCODER_BUDGET= trains to the end
 ENCODER_BUDGET := --steps 2000 --max_minutes 4.75
 ENCODER_KEYS :=
+# The recipe's training; it is evaluated less often than the recipe asks for
+AGENT_EVALUATION := --evaluation_every 10000 --evaluation_episodes 10 --final_evaluation_episodes 20
 AGENT_KEYS :=
 REPORT_KEYS :=
 
@@ -60,7 +62,7 @@ $(ENCODER)/summary.json: | $(DATA)/summary.json
 	$(call stage,pretrain,--config pretrain/demo.yaml --data $(DATA) --out $(ENCODER) --resume true $(ENCODER_BUDGET) $(ENCODER_KEYS))
 
 $(AGENT)/summary.json: | $(ENCODER)/summary.json
-	$(call stage,train-rl,--config rl/demo.yaml --encoder $(ENCODER) --out $(AGENT) --resume true $(AGENT_KEYS))
+	$(call stage,train-rl,--config rl/drawer-open.yaml --encoder $(ENCODER) --out $(AGENT) --resume true $(AGENT_EVALUATION) $(AGENT_KEYS))
 
 $(REPORT): $(DATA)/summary.json $(ENCODER)/summary.json $(AGENT)/summary.json
 	$(call stage,report,--data $(DATA) --encoder $(ENCODER) --agent $(AGENT) --out $(REPORT) $(REPORT_KEYS))
