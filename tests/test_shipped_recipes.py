@@ -52,7 +52,7 @@ def test_a_training_recipe_trains(recipe: str, tiny_encoder: Path, tmp_path: Pat
         pytest.importorskip("gymnasium_robotics")
     if recipe.endswith(("ppo", "sb3", "sb3-ddpg")):
         pytest.importorskip("stable_baselines3")
-    encoder = ["--encoder", str(tiny_encoder)] if recipe == "demo" else []
+    encoder = ["--encoder", str(tiny_encoder)] if recipe in ("demo", "drawer-open") else []
     words = ["--config", str(ROOT / "rl" / f"{recipe}.yaml"), "--out", str(tmp_path / "run"), *encoder]
     assert cli.main(["train-rl", *words, *STEPS_OF_RECIPE[recipe], *FEW_STEPS]) == 0
     result = summary(tmp_path / "run")
