@@ -36,6 +36,8 @@ class Scene(ABC):
     """which bodies are the robot, its gripper and the surroundings"""
     proprio_names: tuple[str, ...]
     """what the robot knows of itself"""
+    motion_names: tuple[str, ...] = ()
+    """how that changes, for agents that see by an encoder, where ``proprio_names`` have no velocities"""
     privileged_names: tuple[str, ...]
     """what only the simulator knows: hand, objects and goal [m]"""
 
@@ -60,6 +62,10 @@ class Scene(ABC):
     @abstractmethod
     def proprio(self, observation: Any) -> Float[ndarray, "P"]:
         """Return the values of ``proprio_names``."""
+
+    def motion(self, observation: Any) -> Float[ndarray, "M"]:
+        """Return the values of ``motion_names``."""
+        return np.zeros(0)
 
     @abstractmethod
     def privileged(self, observation: Any) -> Float[ndarray, "Q"]:

@@ -21,6 +21,8 @@ from nerf_rl.scenes.workspace import Workspace
 
 _CENTRE, _DISTANCE = (0.0, 0.68, 0.12), 0.9  # [m] of the table's part where things are, and from where cameras see it
 _PLACES = ("body_pos", "body_quat", "site_pos")  # of the model, what a task or a stored state may move
+_PROPRIO = 4  # numbers at the beginning of an observation: the hand's position and the gripper's opening
+_BEFORE = 18  # where those of the step before begin
 _FIRST_OBJECT = {"drawer-open-v3": "handle", "drawer-close-v3": "handle", "door-open-v3": "handle"}
 
 
@@ -85,6 +87,7 @@ class MetaWorldScene(Scene):
     """
 
     proprio_names = ("hand_x", "hand_y", "hand_z", "gripper")
+    motion_names = tuple(f"{name}_change" for name in proprio_names)
 
     def __init__(self, task: str):
         if task not in ENV_CLS_MAP:
@@ -102,7 +105,11 @@ class MetaWorldScene(Scene):
 
     def proprio(self, observation: Float[ndarray, "O"]) -> Float[ndarray, "P"]:
         """Return the hand's position [m] and the gripper's opening (0 closed, 1 open)."""
-        return observation[:4]
+        return observation[:_PROPRIO]
+
+    def motion(self, observation: Float[ndarray, "O"]) -> Float[ndarray, "M"]:
+        """Return how hand [m] and opening have changed in the last step."""
+        return observation[:_PROPRIO] - observation[_BEFORE : _BEFORE + _PROPRIO]
 
     def privileged(self, observation: Float[ndarray, "O"]) -> Float[ndarray, "Q"]:
         """Return the positions of the hand, the object or objects, and the goal [m]."""

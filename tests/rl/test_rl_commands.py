@@ -82,17 +82,18 @@ def test_a_rollout_tells_each_step(run: Path, tiny_encoder: Path) -> None:
     assert film(episode).shape == (steps + 1, 48, 72, 3)
 
 
-def test_the_observation_is_the_standardised_latent_and_proprioception_only(tiny_encoder: Path) -> None:
+def test_the_observation_is_the_standardised_latent_proprioception_and_its_change_only(tiny_encoder: Path) -> None:
     encoder = Encoder.load(tiny_encoder)
     env, scene = make_env(EnvSpec("metaworld/drawer-open-v3", str(tiny_encoder), 2, 20), encoder)
     observation, _ = env.reset(seed=1)
     assert env.observation_space.contains(observation)
-    assert observation.shape == (encoder.latent_size + len(scene.proprio_names),)
+    assert observation.shape == (encoder.latent_size + len(scene.proprio_names + scene.motion_names),)
     assert isinstance(env, LatentObservation)
     latent = (env.last_latent - encoder.latent_mean.numpy()) / encoder.latent_std.numpy()
     assert np.allclose(observation[: encoder.latent_size], latent, atol=1e-5)
     hand = scene.data.body("hand").xpos
     assert np.allclose(observation[encoder.latent_size :][:2], hand[:2], atol=0.02)
+    assert not observation[-len(scene.motion_names) :].any()  # nothing has moved yet
     env.close()
 
 
@@ -123,7 +124,8 @@ def test_a_policy_comes_back_from_disk_the_same_and_knows_its_encoder(
     again = Policy.load(tmp_path)
     observation = np.random.default_rng(0).normal(size=(5, policy.observation_size)).astype(np.float32)
     assert np.array_equal(policy.act(observation), again.act(observation))
-    assert (again.spec, again.proprio_names) == (policy.spec, ["hand_x", "hand_y", "hand_z", "gripper"])
+    known = ["hand_x", "hand_y", "hand_z", "gripper"]
+    assert (again.spec, again.proprio_names) == (policy.spec, [*known, *(f"{name}_change" for name in known)])
     other = tmp_path / "other"
     other.mkdir()
     for name in ("encoder.json", "encoder.safetensors"):
@@ -138,9 +140,9 @@ def test_a_policy_comes_back_from_disk_the_same_and_knows_its_encoder(
 def test_a_policy_of_another_format_is_refused_in_a_sentence(run: Path, tmp_path: Path) -> None:
     for name in ("policy.json", "policy.safetensors"):
         (tmp_path / name).write_bytes((run / name).read_bytes())
-    old = json.loads((tmp_path / "policy.json").read_text()) | {"version": 1}
+    old = json.loads((tmp_path / "policy.json").read_text()) | {"version": 2}
     (tmp_path / "policy.json").write_text(json.dumps(old))
-    with pytest.raises(UserError, match="has format 1, this version reads 2; train it again"):
+    with pytest.raises(UserError, match="has format 2, this version reads 3; train it again"):
         Policy.load(tmp_path)
 
 

@@ -142,6 +142,17 @@ def test_proprioception_is_the_hand_and_the_gripper(drawer_open: Scene):
     assert 0 <= openings[1] < openings[0] <= 1  # action 1 closes
 
 
+def test_motion_is_what_proprioception_changed_by_in_the_last_step(drawer_open: Scene):
+    before = drawer_open.proprio(drawer_open.env.reset(seed=0)[0])
+    for action in ([1, 0, 0, 1], [0, -1, 0, -1], [0, 0, 0, 0]):
+        observation = drawer_open.env.step(np.array(action, np.float32))[0]
+        now = drawer_open.proprio(observation)
+        assert len(drawer_open.motion(observation)) == len(drawer_open.motion_names)
+        np.testing.assert_allclose(drawer_open.motion(observation), now - before, atol=1e-12)
+        assert np.abs(now - before).max() > 1e-3
+        before = now
+
+
 def test_the_scripted_policy_opens_the_drawer(drawer_open: Scene):
     observation, _ = drawer_open.env.reset(seed=2)
     policy = drawer_open.scripted_policy()

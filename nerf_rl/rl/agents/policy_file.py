@@ -12,7 +12,7 @@ from nerf_rl.hub.fetch import ENCODER_IN_AGENT, lasting, resolve
 from nerf_rl.pretrain.model.encoder_file import WEIGHTS, is_checkpoint, read_description
 from nerf_rl.rl.config import Control
 
-POLICY_VERSION = 2
+POLICY_VERSION = 3
 POLICY_WEIGHTS, POLICY_DESCRIPTION = "policy.safetensors", "policy.json"
 _KNOWN_MODULES = ("gymnasium_robotics",)
 """which register environments and do nothing else, and may be imported because an agent of somebody else asks for it"""

@@ -83,10 +83,10 @@ def make_env(spec: EnvSpec, encoder: Any = None, device: str = "cpu") -> tuple[g
     from nerf_rl.rl.environments.controls import standardise_by_looking
     from nerf_rl.rl.environments.observation import LatentObservation
 
-    proprio, observed = scene.proprio, ObservedColumns(scene, spec.observe)
+    observed = ObservedColumns(scene, spec.observe)
 
     def beside_latent(observation: Any) -> ndarray:
-        return np.concatenate([proprio(observation), observed(observation)])
+        return np.concatenate([scene.proprio(observation), scene.motion(observation), observed(observation)])
 
     eyes = encoder or Encoder.load(spec.encoder)
     compare_scenes(eyes.scene, spec.scene)
@@ -120,7 +120,9 @@ def check_scene(spec: EnvSpec, demonstrations: bool = False) -> tuple[str, ...]:
             f"--demonstrations needs a scene with a scripted policy, and {spec.scene} has none; available: "
             f"{METAWORLD}TASK, for example {METAWORLD}drawer-open-v3"
         )
-    return () if scene is None else (*scene.proprio_names, *ObservedColumns(scene, spec.observe).names)
+    if scene is None:
+        return ()
+    return (*scene.proprio_names, *scene.motion_names, *ObservedColumns(scene, spec.observe).names)
 
 
 def make_vector_env(spec: EnvSpec, count: int, device: str = "cpu") -> AsyncVectorEnv:
