@@ -67,6 +67,10 @@ class Scene(ABC):
         """Return the values of ``motion_names``."""
         return np.zeros(0)
 
+    def state(self, observation: Float[ndarray, "O"]) -> Float[ndarray, "O"]:
+        """Return what an agent on the true state observes of the environment's observation in one vector: all of it."""
+        return observation
+
     @abstractmethod
     def privileged(self, observation: Any) -> Float[ndarray, "Q"]:
         """Return the values of ``privileged_names``."""

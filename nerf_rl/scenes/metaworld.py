@@ -22,7 +22,7 @@ from nerf_rl.scenes.workspace import Workspace
 _CENTRE, _DISTANCE = (0.0, 0.68, 0.12), 0.9  # [m] of the table's part where things are, and from where cameras see it
 _PLACES = ("body_pos", "body_quat", "site_pos")  # of the model, what a task or a stored state may move
 _PROPRIO = 4  # numbers at the beginning of an observation: the hand's position and the gripper's opening
-_BEFORE = 18  # where those of the step before begin
+_FRAME = 18  # numbers of an observation that are of now; as many of the step before follow, then the goal
 _FIRST_OBJECT = {"drawer-open-v3": "handle", "drawer-close-v3": "handle", "door-open-v3": "handle"}
 
 
@@ -109,7 +109,16 @@ class MetaWorldScene(Scene):
 
     def motion(self, observation: Float[ndarray, "O"]) -> Float[ndarray, "M"]:
         """Return how hand [m] and opening have changed in the last step."""
-        return observation[:_PROPRIO] - observation[_BEFORE : _BEFORE + _PROPRIO]
+        return observation[:_PROPRIO] - observation[_FRAME : _FRAME + _PROPRIO]
+
+    def state(self, observation: Float[ndarray, "O"]) -> Float[ndarray, "O"]:
+        """Return Meta-World's observation with the change in the last step in place of the step before.
+
+        A hand moves by millimetres in a step and by decimetres in an episode: of two positions, standardised each by
+        itself, a network has to learn the difference before it knows a velocity.
+        """
+        now, before, goal = np.split(observation, [_FRAME, 2 * _FRAME])
+        return np.concatenate([now, now - before, goal])
 
     def privileged(self, observation: Float[ndarray, "O"]) -> Float[ndarray, "Q"]:
         """Return the positions of the hand, the object or objects, and the goal [m]."""

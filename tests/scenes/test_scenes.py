@@ -153,6 +153,18 @@ def test_motion_is_what_proprioception_changed_by_in_the_last_step(drawer_open: 
         before = now
 
 
+def test_the_true_state_tells_how_all_has_moved_in_place_of_where_it_was(drawer_open: Scene):
+    before, _ = drawer_open.env.reset(seed=0)
+    for action in ([0, 1, -1, 1], [0, -1, 0, -1]):
+        for _ in range(10):
+            observation = drawer_open.env.step(np.array(action, np.float32))[0]
+            state = drawer_open.state(observation)
+            np.testing.assert_array_equal(state[:18], observation[:18])
+            np.testing.assert_allclose(state[18:36], observation[:18] - before[:18], atol=1e-12)
+            np.testing.assert_array_equal(state[36:], observation[36:])
+            before = observation
+
+
 def test_the_scripted_policy_opens_the_drawer(drawer_open: Scene):
     observation, _ = drawer_open.env.reset(seed=2)
     policy = drawer_open.scripted_policy()

@@ -77,7 +77,7 @@ def make_env(spec: EnvSpec, encoder: Any = None, device: str = "cpu") -> tuple[g
     env = _with_script(env, scene)
     env = ActionRepeat(gymnasium.wrappers.TimeLimit(env, spec.episode_steps), spec.action_repeat)
     if scene is None or spec.encoder is None:
-        return StateObservation(with_flat_observation(env)), scene
+        return StateObservation(with_flat_observation(env), np.asarray if scene is None else scene.state), scene
     # these load torch, which a state worker does without
     from nerf_rl.pretrain.model.encoder import Encoder
     from nerf_rl.rl.environments.controls import standardise_by_looking

@@ -1,5 +1,6 @@
 """What stands between a scene's environment and an agent: actions in [-1, 1], held, and flat observations."""
 
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -46,18 +47,24 @@ class ActionRepeat(gymnasium.Wrapper):
 
 
 class StateObservation(gymnasium.ObservationWrapper):
-    """The environment's own observation as float32."""
+    """What an agent on the true state observes, as float32.
 
-    def __init__(self, env: gymnasium.Env):
+    Args:
+        env: with observations in one vector.
+        state: from such an observation to what is observed, as many numbers.
+    """
+
+    def __init__(self, env: gymnasium.Env, state: Callable[[ndarray], ndarray]):
         super().__init__(env)
+        self._state = state
         box = env.observation_space
         assert isinstance(box, Box)
         # Meta-World's bounds change with the task's goal, so they cannot be compared between processes.
         self.observation_space = Box(-np.inf, np.inf, box.shape, np.float32)
 
     def observation(self, observation: ndarray) -> ndarray:
-        """Return the same numbers as float32."""
-        return observation.astype(np.float32)
+        """Return what an agent observes, as float32."""
+        return self._state(observation).astype(np.float32)
 
 
 def with_flat_observation(env: gymnasium.Env) -> gymnasium.Env:

@@ -275,7 +275,7 @@ def test_a_latent_agent_takes_demonstrations_too(tiny_encoder: Path, tmp_path: P
     assert cli.main(["train-rl", "--encoder", str(tiny_encoder), "--out", str(tmp_path / "run"), *COMMAND]) == 0
     checkpoint = max((tmp_path / "run" / "checkpoints").iterdir())
     rows = read_tensors(checkpoint / "state.safetensors")["replay.demonstrations"]
-    observation = 8 + 4
+    observation = 8 + 4 + 4  # latent, proprioception, its change
     assert rows.shape == (STEPS // 2, 2 * observation + 4 + 2)
     assert rows[:, :8].std(0).mean() > 0.01, "its latents see the drawer open"
 
