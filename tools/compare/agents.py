@@ -36,6 +36,7 @@ KEYS = ["--evaluation_every", str(ON_THE_WAY), "--checkpoint_every", str(ON_THE_
 KEYS += ["--evaluation_episodes", str(EPISODES), "--final_evaluation_episodes", str(EPISODES)]
 UNBOUNDED, UNWAITING = ["--learner.bound_by_returns", "false"], ["--noise.wait_for_success", "false"]
 IMITATION = ["--learner.imitation_weight", "0.1"]
+STRONG_IMITATION = ["--learner.imitation_weight", "0.5"]
 CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]
 ARMS = {
     "the recipe": [],
@@ -45,6 +46,7 @@ ARMS = {
     "self-imitation": IMITATION,
     "curriculum": CURRICULUM,
     "self-imitation and curriculum": [*IMITATION, *CURRICULUM],
+    "strong self-imitation and curriculum": [*STRONG_IMITATION, *CURRICULUM],
     "blind": ["--control", "blind"],
 }
 """what is done otherwise, and the keys for it"""
