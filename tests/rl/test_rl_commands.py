@@ -157,6 +157,20 @@ def test_a_run_on_the_true_state_resumes_and_evaluates(tmp_path: Path) -> None:
     assert cli.main(["train-rl", "--out", str(out), *SHORT]) == 2
 
 
+def test_a_checkpoint_of_agents_that_observed_something_else_is_not_gone_on_with(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "state"
+    assert cli.main(["train-rl", "--out", str(out), *SHORT, "--envs", "1"]) == 0
+    (file,) = out.glob("checkpoints/*/state.json")
+    facts = json.loads(file.read_text())
+    assert facts.pop("format") == 2
+    file.write_text(json.dumps(facts))
+    keys = [*SHORT, "--env_steps", "140", "--resume", "true", "--envs", "1"]
+    assert cli.main(["train-rl", "--out", str(out), *keys]) == 2
+    assert "it is of an earlier version, whose agents observed something else; begin the run" in capsys.readouterr().err
+
+
 def test_whoever_watches_evaluations_may_end_the_training(tmp_path: Path) -> None:
     seen: list[dict[str, Any]] = []
 

@@ -20,7 +20,9 @@ from nerf_rl.files.tensor_files import read_tensors, write_tensors
 from nerf_rl.rl.training.curriculum import STRUCTURE as CURRICULUM
 from nerf_rl.rl.training.deadlock import STRUCTURE as MONITOR
 from nerf_rl.rl.training.evaluation_results import EVALUATIONS
+from nerf_rl.scenes.base import METAWORLD
 
+_FORMAT = 2  # since it, agents in Meta-World observe changes; a replay memory of before holds something else
 _TENSORS, _FACTS = "state.safetensors", "state.json"
 _REMEDY = "begin the run anew with --overwrite true, or use another --out"
 _WORD = whole(0, 2**128 - 1)
@@ -42,6 +44,7 @@ _STRUCTURE = mapping(
         "evaluations": EVALUATIONS,
     },
     {
+        "format": whole(1),
         "awaits_success": flag,
         **CURRICULUM,
         "demonstrations": mapping({**dict.fromkeys(("episodes", "tries", "env_steps"), whole(1)), "cloned": flag}),
@@ -72,7 +75,7 @@ def save_checkpoint(
     shutil.rmtree(aside, ignore_errors=True)
     aside.mkdir()
     write_tensors(aside / _TENSORS, tensors)
-    write_json(aside / _FACTS, facts)
+    write_json(aside / _FACTS, {"format": _FORMAT, **facts})
     add(aside)
     shutil.rmtree(final, ignore_errors=True)
     rename_durably(aside, final)
@@ -94,3 +97,16 @@ def load_checkpoint(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     except (OSError, ValueError) as error:
         raise MissingFileError("a checkpoint", folder, f"its {_FACTS} is damaged ({error})", _REMEDY) from error
     return read_tensors(folder / _TENSORS), facts
+
+
+def require_same_observations(facts: Mapping[str, Any], scene: str, folder: Path) -> None:
+    """Raise MissingFileError where agents no longer observe what is in the replay memory of a checkpoint.
+
+    Args:
+        facts: of the checkpoint.
+        scene: that the agent acts in.
+        folder: of the checkpoint, to be named.
+    """
+    if facts.get("format", 1) < _FORMAT and scene.startswith(METAWORLD):
+        reason = "it is of an earlier version, whose agents observed something else"
+        raise MissingFileError("a checkpoint to go on from", folder, reason, _REMEDY)

@@ -27,7 +27,12 @@ from nerf_rl.rl.experience.n_step import NStep
 from nerf_rl.rl.experience.noise import EpsilonZGreedy, Noise, linear_schedule
 from nerf_rl.rl.experience.replay import Replay
 from nerf_rl.rl.experience.replay_chunks import count_rows, load_rows, most_rows, save_rows
-from nerf_rl.rl.training.checkpoint import last_checkpoint, load_checkpoint, save_checkpoint
+from nerf_rl.rl.training.checkpoint import (
+    last_checkpoint,
+    load_checkpoint,
+    require_same_observations,
+    save_checkpoint,
+)
 from nerf_rl.rl.training.curriculum import Curriculum
 from nerf_rl.rl.training.curves import MetricsLog
 from nerf_rl.rl.training.deadlock import DeadlockMonitor
@@ -193,6 +198,7 @@ class Trainer:
 
     def _load(self, checkpoint: Path) -> None:
         tensors, facts = load_checkpoint(checkpoint)
+        require_same_observations(facts, self._config.scene, checkpoint)
         if len(facts["episode_index"]) != self._envs.num_envs:
             raise UserError(f"{checkpoint} is of a run with {len(facts['episode_index'])} --envs")
         self.agent.load_state_dict(strip_prefix(tensors, "agent"), checkpoint)
