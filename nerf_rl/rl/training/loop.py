@@ -24,7 +24,7 @@ from nerf_rl.rl.environments.goals import GoalTask
 from nerf_rl.rl.environments.make import reset_some
 from nerf_rl.rl.experience.hindsight import Hindsight
 from nerf_rl.rl.experience.n_step import NStep
-from nerf_rl.rl.experience.noise import EpsilonZGreedy, Noise, linear_schedule
+from nerf_rl.rl.experience.noise import linear_schedule
 from nerf_rl.rl.experience.replay import Replay
 from nerf_rl.rl.experience.replay_chunks import count_rows, load_rows, most_rows, save_rows
 from nerf_rl.rl.training.checkpoint import (
@@ -39,6 +39,7 @@ from nerf_rl.rl.training.deadlock import DeadlockMonitor
 from nerf_rl.rl.training.demonstrated_start import DemonstratedStart
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes
 from nerf_rl.rl.training.evaluation_results import DEMONSTRATIONS
+from nerf_rl.rl.training.exploration import Exploration
 from nerf_rl.rl.training.zoo_files import ZooFiles
 
 _STEP_TIMEOUT = 300.0  # [s] a worker that is silent for so long has hung
@@ -79,18 +80,14 @@ class Trainer:
         self.replay = Replay(
             config.replay, *sizes, run / "replay", config.seed, self._checkpoint_rows(), count, bounded
         )
-        steps = -(-config.episode_steps // config.action_repeat)
-        self._noise = Noise(config.noise, count, self.action_size, steps, self._rng)
-        held = (config.noise.epsilon_z_steps, self._rng, config.noise.epsilon_z_kind)
-        self._epsilon_z = EpsilonZGreedy(count, self.action_size, *held)
+        self._exploration = Exploration(config, count, self.action_size, self._rng)
         self._n_steps = [NStep(learner.n_step, learner.gamma) for _ in range(count)]
         self._hindsight = self._make_hindsight(goal_task)
         self._length = np.zeros(count, np.int64)
         self._returns, self._success = np.zeros(count), np.zeros(count, np.bool_)
         eased = (config.retry_share, config.steps_after_success)
         self._curriculum = Curriculum(config.seed, count, *eased, self._rng)
-        self.env_steps, self.episodes, self._credit, self._explored_from = 0, 0, 0.0, 0
-        self._awaits_success = config.noise.wait_for_success
+        self.env_steps, self.episodes, self._credit = 0, 0, 0.0
         self._seconds_before, self._start = 0.0, time.monotonic()
         self.evaluations: list[dict[str, Any]] = []
         self._monitor = DeadlockMonitor()
@@ -116,11 +113,6 @@ class Trainer:
         """Environment steps that the agent itself has had."""
         return self.env_steps - self.demonstrations.env_steps
 
-    @property
-    def _explored(self) -> int:
-        """Environment steps since exploration began, or began anew, to fall."""
-        return 0 if self._awaits_success else self.env_steps - self._explored_from
-
     def demonstrate(self, progress: Progress) -> None:
         """Have the demonstrations acted that the run asks for, unless a checkpoint held them.
 
@@ -131,7 +123,8 @@ class Trainer:
             FailureError: the script hardly ever succeeds, or takes all of the run's environment steps.
         """
         if told := self.demonstrations.act(self._envs, self.agent, self.replay):
-            self.env_steps = self._explored_from = self.demonstrations.env_steps
+            self.env_steps = self.demonstrations.env_steps
+            self._exploration.begin(self.env_steps)
             self._monitor.forgive(self.env_steps)
             progress.advance(self.env_steps)
             progress.say(told)
@@ -187,8 +180,7 @@ class Trainer:
             "rng": self._rng.bit_generator.state,
             "evaluations": self.evaluations,
             "monitor": self._monitor.state_dict(),
-            "explored_from": self._explored_from,
-            "awaits_success": self._awaits_success,
+            **self._exploration.state_dict(),
             **self.demonstrations.state_dict(),
         }
         before = self._checkpoint
@@ -222,8 +214,7 @@ class Trainer:
         self._curriculum.load_state_dict(facts)
         self._rng.bit_generator.state = facts["rng"]
         self._monitor.load_state_dict(facts["monitor"])
-        self._explored_from = facts["explored_from"]
-        self._awaits_success = facts.get("awaits_success", False)
+        self._exploration.load_state_dict(facts)
         self.demonstrations.load_state_dict(facts, self.replay, checkpoint)
 
     def _checkpoint_rows(self) -> int:
@@ -253,8 +244,7 @@ class Trainer:
         for env in np.flatnonzero(which).tolist():
             seeds[env] = self._curriculum.begin(env)
             self._returns[env], self._success[env], self._length[env] = 0.0, False, 0
-            self._noise.reset(env)
-            self._epsilon_z.reset(env, self._decayed(self._config.noise.epsilon_z_start))
+            self._exploration.begin_episode(env, self.env_steps)
         return reset_some(self._envs, which, seeds)
 
     def _step(self, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E O"]:
@@ -286,9 +276,7 @@ class Trainer:
             success = bool(self._success[env]) if "success" in info else None
             self._monitor.end_episode(self.env_steps, float(self._returns[env]), success)
             self._curriculum.end(env, success)
-            if self._awaits_success and success is not False:  # or the scene does not tell
-                self._awaits_success = False
-                self._explored_from = self.env_steps if success else self._explored_from
+            self._exploration.end_episode(success, self.env_steps)
             self._zoo.add_episode(
                 float(self._returns[env]), int(self._length[env]), self.seconds, success, self.env_steps
             )
@@ -297,17 +285,10 @@ class Trainer:
         return self._restart(done)
 
     def _explore(self, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E A"]:
-        """Return random actions in the warm-up, then the policy's with noise; some of either are held random ones."""
-        config = self._config
-        if self._acted < config.warmup_steps:
-            random = self._rng.uniform(-1.0, 1.0, (self._envs.num_envs, self.action_size)).astype(np.float32)
-            return self._epsilon_z.override(random, 0.8)
-        noise = self._noise.sample(self._explored, self._curriculum.retried)
-        noisy = np.clip(self.agent.act(observation) + noise, -1.0, 1.0)
-        return self._epsilon_z.override(noisy.astype(np.float32), self._decayed(config.noise.epsilon_z))
-
-    def _decayed(self, start: float) -> float:
-        return linear_schedule(start, 0.0, self._config.noise.decay_steps, self._explored)
+        """Return random actions in the warm-up, then some around the policy's."""
+        if self._acted < self._config.warmup_steps:
+            return self._exploration.warm_up()
+        return self._exploration.around(self.agent.act(observation), self.env_steps, self._curriculum.retried)
 
     def _learn(self) -> None:
         """Do the updates that the steps so far are worth."""
@@ -347,7 +328,7 @@ class Trainer:
         self.demonstrations.forget()
         self._credit += self._config.learner.reset_updates
         self._monitor.forgive(self.env_steps)
-        self._explored_from, self._awaits_success = self.env_steps, self._config.noise.wait_for_success
+        self._exploration.begin(self.env_steps)
 
     def _log(self, updates_per_second: float) -> None:
         if self.agent.updates:
@@ -356,7 +337,7 @@ class Trainer:
             env_steps=self.env_steps,
             seconds=self.seconds,
             episodes=self.episodes,
-            noise=self._noise.scale(self._explored),
+            noise=self._exploration.scale(self.env_steps),
             beta=self._beta(),
             priority_spread=self.replay.priority_spread(),
             stuck_for=self._monitor.stuck_for(self.env_steps),

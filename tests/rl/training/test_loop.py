@@ -152,15 +152,15 @@ def test_exploration_waits_for_a_success_where_the_scene_tells_of_it(
         monkeypatch.setattr(envs, "step_wait", never)
         trainer = Trainer(made, envs, tmp_path)
         train(trainer, 600)
-        assert trainer._noise.scale(trainer._explored) == (1.0 if told else pytest.approx(1.0 - 0.95 * 600 / 1500))
+        assert trainer._exploration.scale(600) == (1.0 if told else pytest.approx(1.0 - 0.95 * 600 / 1500))
         trainer.save()
         trainer.replay.close()
         monkeypatch.setattr(envs, "step_wait", step)
         made.resume = True
         resumed = Trainer(made, envs, tmp_path)
-        before = resumed._explored
+        before = resumed._exploration.elapsed(600)
         train(resumed, 1500)  # by then there was a success, as a point on a line cannot help it
-        assert before == (0 if told else 600) and before + 300 < resumed._explored <= before + 900
+        assert before == (0 if told else 600) and before + 300 < resumed._exploration.elapsed(1500) <= before + 900
         resumed.replay.close()
     finally:
         envs.close(terminate=True)
@@ -184,7 +184,7 @@ def test_an_agent_that_stays_stuck_starts_anew_from_its_memory_and_a_resumed_run
     whole.save()
     shutil.copytree(tmp_path / "whole" / "checkpoints", tmp_path / "again" / "checkpoints")
     assert "nothing has improved" in capsys.readouterr().out
-    assert whole._noise.scale(whole._explored) > whole._noise.scale(whole.env_steps), "exploration starts anew, too"
+    assert whole._exploration.elapsed(200) < 200, "exploration starts anew, too"
     train(whole, 400)
     again = stuck(tmp_path / "again", resume=True)
     train(again, 400)

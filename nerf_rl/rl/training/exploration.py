@@ -1,0 +1,87 @@
+"""What training does beside what its policy says, less and less of it."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+
+from nerf_rl.rl.config import TrainRLConfig
+from nerf_rl.rl.experience.noise import EpsilonZGreedy, Noise, linear_schedule
+
+_HELD_IN_WARM_UP = 0.8  # of the steps
+
+
+class Exploration:
+    """Turns a policy's actions into those of training: noise is added, and some of them are held random ones.
+
+    Both become less, by the clock or, with ``noise.wait_for_success``, from the first training episode on that
+    succeeds: an agent that found a place of rest first is to look further.
+
+    Args:
+        config: of the run.
+        envs: parallel environments.
+        action_size: A.
+        rng: draws all of it.
+    """
+
+    def __init__(self, config: TrainRLConfig, envs: int, action_size: int, rng: np.random.Generator):
+        self._config, self._rng, self._shape = config.noise, rng, (envs, action_size)
+        steps = -(-config.episode_steps // config.action_repeat)
+        self._noise = Noise(config.noise, envs, action_size, steps, rng)
+        held = (config.noise.epsilon_z_steps, rng, config.noise.epsilon_z_kind)
+        self._held = EpsilonZGreedy(envs, action_size, *held)
+        self._since, self._awaits_success = 0, config.noise.wait_for_success
+
+    def begin(self, env_step: int) -> None:
+        """Explore as at first, and less and less from this environment step on."""
+        self._since, self._awaits_success = env_step, self._config.wait_for_success
+
+    def elapsed(self, env_step: int) -> int:
+        """Return for how many environment steps exploration has become less."""
+        return 0 if self._awaits_success else env_step - self._since
+
+    def scale(self, env_step: int) -> float:
+        """Return the noise's standard deviation."""
+        return self._noise.scale(self.elapsed(env_step))
+
+    def begin_episode(self, env: int, env_step: int) -> None:
+        """Forget the episode before of one environment."""
+        self._noise.reset(env)
+        self._held.reset(env, self._decayed(self._config.epsilon_z_start, env_step))
+
+    def end_episode(self, success: bool | None, env_step: int) -> None:
+        """Take note of how an episode ended; None where the scene does not tell, which is nothing to wait for."""
+        if self._awaits_success and success is not False:
+            self._awaits_success = False
+            self._since = env_step if success else self._since
+
+    def warm_up(self) -> Float[ndarray, "E A"]:
+        """Return actions of a time when there is no policy to speak of."""
+        random = self._rng.uniform(-1.0, 1.0, self._shape).astype(np.float32)
+        return self._held.override(random, _HELD_IN_WARM_UP)
+
+    def around(
+        self, action: Float[ndarray, "E A"], env_step: int, anew: Bool[ndarray, "E"] | bool = False
+    ) -> Float[ndarray, "E A"]:
+        """Return actions near the policy's.
+
+        Args:
+            action: the policy's.
+            env_step: now.
+            anew: where noise is to be as large as at first.
+        """
+        noisy = np.clip(action + self._noise.sample(self.elapsed(env_step), anew), -1.0, 1.0)
+        return self._held.override(noisy.astype(np.float32), self._decayed(self._config.epsilon_z, env_step))
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what a checkpoint has to hold between episodes."""
+        return {"explored_from": self._since, "awaits_success": self._awaits_success}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on from a checkpoint, perhaps of an earlier version, which waited for nothing."""
+        self._since, self._awaits_success = state["explored_from"], state.get("awaits_success", False)
+
+    def _decayed(self, start: float, env_step: int) -> float:
+        return linear_schedule(start, 0.0, self._config.decay_steps, self.elapsed(env_step))
