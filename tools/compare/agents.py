@@ -30,6 +30,8 @@ from tools.compare.precision import processor
 from tools.readme_tables import markdown_table, replace_tables
 
 RESULT, README, RECIPE = Path("rl/results/ablation.json"), Path("rl/README.md"), "rl/demo.yaml"
+LATENTS, STATE = "latents and motion", "state with changes"
+"""what agents see by, unless it is called otherwise"""
 ON_THE_WAY, EPISODES = 30_000, 50
 """environment steps after which longer runs are evaluated, too, and the episodes of every evaluation"""
 KEYS = ["--evaluation_every", str(ON_THE_WAY), "--checkpoint_every", str(ON_THE_WAY)]
@@ -67,8 +69,8 @@ def main() -> None:
     )
     parser.add_argument("--work", type=Path, default=Path("runs/agents"), help="folder of the runs")
     arguments = parser.parse_args()
-    eyes, sees = ("latents", ["--encoder", arguments.encoder]) if arguments.encoder else ("state", [])
-    eyes = arguments.eyes or eyes
+    sees = ["--encoder", arguments.encoder] if arguments.encoder else []
+    eyes = arguments.eyes or (LATENTS if arguments.encoder else STATE)
     for arm in (arm for arm in arguments.arms if arguments.encoder or "--control" not in ARMS[arm]):
         keys = [*ARMS[arm], *(LAST_WEIGHTS_KEYS if arguments.last_weights else [])]
         arm += LAST_WEIGHTS if arguments.last_weights else ""
