@@ -64,8 +64,8 @@ class NoiseConfig:
     """standard deviation after decay_steps"""
     decay_steps: Count = 30_000
     """environment steps from start to end"""
-    wait_for_success: bool = False
-    """let exploration become less only from the first success of a training episode on, where the scene tells of it"""
+    wait_for_successes: Annotated[int, Limits(least=0, most=20)] = 0
+    """let exploration become less only once so many of the last 20 training episodes have succeeded, if that is told"""
     theta: PositiveShare = 0.15
     """ou only: share of the noise that is forgotten in each step"""
     epsilon_z: ShareBelowOne = 0.1

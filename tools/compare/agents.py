@@ -36,7 +36,7 @@ ON_THE_WAY, EPISODES = 30_000, 50
 """environment steps after which longer runs are evaluated, too, and the episodes of every evaluation"""
 KEYS = ["--evaluation_every", str(ON_THE_WAY), "--checkpoint_every", str(ON_THE_WAY)]
 KEYS += ["--evaluation_episodes", str(EPISODES), "--final_evaluation_episodes", str(EPISODES)]
-UNBOUNDED, UNWAITING = ["--learner.bound_by_returns", "false"], ["--noise.wait_for_success", "false"]
+UNBOUNDED, UNWAITING = ["--learner.bound_by_returns", "false"], ["--noise.wait_for_successes", "0"]
 IMITATION = ["--learner.imitation_weight", "0.1"]
 STRONG_IMITATION = ["--learner.imitation_weight", "0.5"]
 CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]

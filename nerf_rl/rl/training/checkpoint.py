@@ -20,6 +20,7 @@ from nerf_rl.files.tensor_files import read_tensors, write_tensors
 from nerf_rl.rl.training.curriculum import STRUCTURE as CURRICULUM
 from nerf_rl.rl.training.deadlock import STRUCTURE as MONITOR
 from nerf_rl.rl.training.evaluation_results import EVALUATIONS
+from nerf_rl.rl.training.exploration import STRUCTURE as EXPLORATION
 from nerf_rl.scenes.base import METAWORLD
 
 _FORMAT = 2  # since it, agents in Meta-World observe changes; a replay memory of before holds something else
@@ -45,8 +46,8 @@ _STRUCTURE = mapping(
     },
     {
         "format": whole(1),
-        "awaits_success": flag,
         **CURRICULUM,
+        **EXPLORATION,
         "demonstrations": mapping({**dict.fromkeys(("episodes", "tries", "env_steps"), whole(1)), "cloned": flag}),
     },
     others=True,

@@ -1,5 +1,6 @@
 """What training does beside what its policy says, less and less of it."""
 
+from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
@@ -7,17 +8,22 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
+from nerf_rl.files.structure import flag, listing
 from nerf_rl.rl.config import TrainRLConfig
 from nerf_rl.rl.experience.noise import EpsilonZGreedy, Noise, linear_schedule
 
+STRUCTURE = {"awaits_success": flag, "lately": listing(flag)}
+"""of what :meth:`Exploration.state_dict` has beside ``explored_from``, which checkpoints of every version hold"""
 _HELD_IN_WARM_UP = 0.8  # of the steps
+_LATELY = 20  # episodes
 
 
 class Exploration:
     """Turns a policy's actions into those of training: noise is added, and some of them are held random ones.
 
-    Both become less, by the clock or, with ``noise.wait_for_success``, from the first training episode on that
-    succeeds: an agent that found a place of rest first is to look further.
+    Both become less by the clock, which with ``noise.wait_for_successes`` begins once so many of the latest training
+    episodes have succeeded: an agent that found a place of rest first is to look further. One success may be luck, of
+    which an agent that explores less and less makes nothing.
 
     Args:
         config: of the run.
@@ -32,11 +38,13 @@ class Exploration:
         self._noise = Noise(config.noise, envs, action_size, steps, rng)
         held = (config.noise.epsilon_z_steps, rng, config.noise.epsilon_z_kind)
         self._held = EpsilonZGreedy(envs, action_size, *held)
-        self._since, self._awaits_success = 0, config.noise.wait_for_success
+        self._lately: deque[bool] = deque(maxlen=_LATELY)
+        self._since, self._awaits_success = 0, config.noise.wait_for_successes > 0
 
     def begin(self, env_step: int) -> None:
         """Explore as at first, and less and less from this environment step on."""
-        self._since, self._awaits_success = env_step, self._config.wait_for_success
+        self._since, self._awaits_success = env_step, self._config.wait_for_successes > 0
+        self._lately.clear()
 
     def elapsed(self, env_step: int) -> int:
         """Return for how many environment steps exploration has become less."""
@@ -53,9 +61,13 @@ class Exploration:
 
     def end_episode(self, success: bool | None, env_step: int) -> None:
         """Take note of how an episode ended; None where the scene does not tell, which is nothing to wait for."""
-        if self._awaits_success and success is not False:
+        if not self._awaits_success:
+            return
+        self._lately.append(bool(success))
+        if success is None:
             self._awaits_success = False
-            self._since = env_step if success else self._since
+        elif sum(self._lately) >= self._config.wait_for_successes:
+            self._since, self._awaits_success = env_step, False
 
     def warm_up(self) -> Float[ndarray, "E A"]:
         """Return actions of a time when there is no policy to speak of."""
@@ -77,11 +89,13 @@ class Exploration:
 
     def state_dict(self) -> dict[str, Any]:
         """Return what a checkpoint has to hold between episodes."""
-        return {"explored_from": self._since, "awaits_success": self._awaits_success}
+        awaits = {"awaits_success": self._awaits_success, "lately": list(self._lately)}
+        return {"explored_from": self._since, **awaits}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on from a checkpoint, perhaps of an earlier version, which waited for nothing."""
         self._since, self._awaits_success = state["explored_from"], state.get("awaits_success", False)
+        self._lately = deque(state.get("lately", []), _LATELY)
 
     def _decayed(self, start: float, env_step: int) -> float:
         return linear_schedule(start, 0.0, self._config.decay_steps, self.elapsed(env_step))

@@ -147,7 +147,7 @@ def test_exploration_waits_for_a_success_where_the_scene_tells_of_it(
         return (*rest, {key: value for key, value in info.items() if key != "success"} | success)
 
     made = config(tmp_path)
-    made.noise.wait_for_success = True
+    made.noise.wait_for_successes = 2
     try:
         monkeypatch.setattr(envs, "step_wait", never)
         trainer = Trainer(made, envs, tmp_path)

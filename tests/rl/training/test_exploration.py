@@ -1,0 +1,61 @@
+"""When exploration begins to become less."""
+
+import json
+
+import numpy as np
+import pytest
+
+from nerf_rl.rl.config import NoiseConfig, TrainRLConfig
+from nerf_rl.rl.training.exploration import Exploration
+
+
+def exploration(successes: int) -> Exploration:
+    noise = NoiseConfig(start=1.0, end=0.0, decay_steps=1000, wait_for_successes=successes)
+    return Exploration(TrainRLConfig(out="x", noise=noise), 2, 3, np.random.default_rng(0))
+
+
+def test_exploration_falls_from_the_first_step_if_it_waits_for_nothing() -> None:
+    made = exploration(0)
+    assert made.scale(0) == 1.0 and made.scale(250) == pytest.approx(0.75)
+
+
+@pytest.mark.parametrize(("between", "enough"), [(0, True), (18, True), (19, False)])
+def test_one_success_may_be_luck_and_two_of_the_last_20_episodes_are_not(between: int, enough: bool) -> None:
+    made = exploration(2)
+    for number, success in enumerate([True, *[False] * between, True]):
+        assert made.scale(100 * number) == 1.0
+        made.end_episode(success, 100 * number)
+    last = 100 * (between + 1)
+    assert made.scale(last) == 1.0
+    assert made.scale(last + 250) == pytest.approx(0.75 if enough else 1.0)
+    made.end_episode(False, last + 250)
+    made.end_episode(True, last + 250)
+    assert made.scale(last + 500) == pytest.approx(0.5 if enough else 0.75), "what has begun goes on"
+
+
+def test_where_the_scene_does_not_tell_there_is_nothing_to_wait_for() -> None:
+    made = exploration(2)
+    made.end_episode(None, 100)
+    assert made.scale(250) == pytest.approx(0.75)
+
+
+def test_exploration_that_begins_anew_waits_anew() -> None:
+    made = exploration(2)
+    for _ in range(2):
+        made.end_episode(True, 100)
+    made.begin(400)
+    made.end_episode(True, 500)
+    assert made.scale(900) == 1.0
+    made.end_episode(True, 900)
+    assert made.scale(1150) == pytest.approx(0.75)
+
+
+def test_a_run_that_is_resumed_knows_of_the_successes_before() -> None:
+    first, second = exploration(2), exploration(2)
+    first.end_episode(True, 100)
+    second.load_state_dict(json.loads(json.dumps(first.state_dict())))
+    assert second.scale(200) == 1.0
+    second.end_episode(True, 200)
+    assert second.scale(450) == pytest.approx(0.75)
+    second.load_state_dict({"explored_from": 7})
+    assert second.elapsed(10) == 3, "of a version that waited for nothing"
