@@ -39,6 +39,7 @@ KEYS += ["--evaluation_episodes", str(EPISODES), "--final_evaluation_episodes", 
 UNBOUNDED, UNWAITING = ["--learner.bound_by_returns", "false"], ["--noise.wait_for_successes", "0"]
 IMITATION = ["--learner.imitation_weight", "0.1"]
 STRONG_IMITATION = ["--learner.imitation_weight", "0.5"]
+ONE_SUCCESS = ["--noise.wait_for_successes", "1"]
 CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]
 ARMS = {
     "the recipe": [],
@@ -49,7 +50,9 @@ ARMS = {
     "curriculum": CURRICULUM,
     "self-imitation and curriculum": [*IMITATION, *CURRICULUM],
     "strong self-imitation and curriculum": [*STRONG_IMITATION, *CURRICULUM],
+    "strong self-imitation and curriculum, from one success": [*STRONG_IMITATION, *CURRICULUM, *ONE_SUCCESS],
     "blind": ["--control", "blind"],
+    "blind, from one success": ["--control", "blind", *ONE_SUCCESS],
 }
 """what is done otherwise, and the keys for it"""
 LAST_WEIGHTS, LAST_WEIGHTS_KEYS = ", last weights", ["--learner.policy_average", "0"]
