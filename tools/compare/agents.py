@@ -39,7 +39,6 @@ KEYS += ["--evaluation_episodes", str(EPISODES), "--final_evaluation_episodes", 
 UNBOUNDED, UNWAITING = ["--learner.bound_by_returns", "false"], ["--noise.wait_for_successes", "0"]
 IMITATION = ["--learner.imitation_weight", "0.1"]
 STRONG_IMITATION = ["--learner.imitation_weight", "0.5"]
-ONE_SUCCESS = ["--noise.wait_for_successes", "1"]
 CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]
 ARMS = {
     "the recipe": [],
@@ -50,12 +49,13 @@ ARMS = {
     "curriculum": CURRICULUM,
     "self-imitation and curriculum": [*IMITATION, *CURRICULUM],
     "strong self-imitation and curriculum": [*STRONG_IMITATION, *CURRICULUM],
-    "strong self-imitation and curriculum, from one success": [*STRONG_IMITATION, *CURRICULUM, *ONE_SUCCESS],
     "blind": ["--control", "blind"],
-    "blind, from one success": ["--control", "blind", *ONE_SUCCESS],
+    "blind, strong self-imitation and curriculum": ["--control", "blind", *STRONG_IMITATION, *CURRICULUM],
 }
 """what is done otherwise, and the keys for it"""
-LAST_WEIGHTS, LAST_WEIGHTS_KEYS = ", last weights", ["--learner.policy_average", "0"]
+ONE_SUCCESS, LAST_WEIGHTS = ", from one success", ", last weights"
+VARIATIONS = {ONE_SUCCESS: ["--noise.wait_for_successes", "1"], LAST_WEIGHTS: ["--learner.policy_average", "0"]}
+"""of every arm: what its name ends with, and the keys for it"""
 
 
 def main() -> None:
@@ -67,6 +67,7 @@ def main() -> None:
     parser.add_argument("--seeds", default="0..9", help="as train-rl takes them")
     parser.add_argument("--arms", nargs="+", choices=ARMS, default=list(ARMS), help="of the state, all but blind")
     parser.add_argument("--env_steps", type=int, default=30_000, help="of each run")
+    parser.add_argument("--one_success", action="store_true", help="explore less and less from the first success on")
     parser.add_argument(
         "--last_weights", action="store_true", help="evaluate the actor's last weights, not their average"
     )
@@ -74,9 +75,11 @@ def main() -> None:
     arguments = parser.parse_args()
     sees = ["--encoder", arguments.encoder] if arguments.encoder else []
     eyes = arguments.eyes or (LATENTS if arguments.encoder else STATE)
+    asked = {ONE_SUCCESS: arguments.one_success, LAST_WEIGHTS: arguments.last_weights}
+    endings = [ending for ending in VARIATIONS if asked[ending]]
     for arm in (arm for arm in arguments.arms if arguments.encoder or "--control" not in ARMS[arm]):
-        keys = [*ARMS[arm], *(LAST_WEIGHTS_KEYS if arguments.last_weights else [])]
-        arm += LAST_WEIGHTS if arguments.last_weights else ""
+        keys = [*ARMS[arm], *(key for ending in endings for key in VARIATIONS[ending])]
+        arm += "".join(endings)
         compared = f"{Path(arguments.scene).name}-{eyes}-{arguments.env_steps}"
         folder = arguments.work / compared.replace(" ", "-") / arm.replace(" ", "-").replace(",", "")
         runs = [run_folder(folder, seed) for seed in parse_seeds(arguments.seeds)]
@@ -122,7 +125,7 @@ def record(scene: str, eyes: str, env_steps: int, arm: str, keys: list[str], run
         [*(each for each in known if each not in same), own],
         key=lambda each: (
             *(each[name] for name in ("scene", "eyes", "env_steps")),
-            order.index(each["arm"].removesuffix(LAST_WEIGHTS)),
+            order.index(each["arm"].removesuffix(LAST_WEIGHTS).removesuffix(ONE_SUCCESS)),
             each["arm"],
         ),
     )
