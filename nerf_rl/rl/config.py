@@ -34,6 +34,9 @@ BLIND: Final = "blind"
 RANDOM: Final = "random"
 Control = Literal["none", "blind", "random"]
 
+LATEST_EPISODES = 20
+"""of training, among which exploration waits for successes"""
+
 
 @dataclass
 class NetworkConfig:
@@ -64,8 +67,9 @@ class NoiseConfig:
     """standard deviation after decay_steps"""
     decay_steps: Count = 30_000
     """environment steps from start to end"""
-    wait_for_successes: Annotated[int, Limits(least=0, most=20)] = 0
-    """let exploration become less only once so many of the last 20 training episodes have succeeded, if that is told"""
+    wait_for_successes: Annotated[int, Limits(least=0, most=LATEST_EPISODES)] = 0
+    """let exploration become less only once so many of the last 20 training episodes have succeeded, where the scene
+    tells of success; 0 waits for none"""
     theta: PositiveShare = 0.15
     """ou only: share of the noise that is forgotten in each step"""
     epsilon_z: ShareBelowOne = 0.1

@@ -9,21 +9,19 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from nerf_rl.files.structure import flag, listing
-from nerf_rl.rl.config import TrainRLConfig
+from nerf_rl.rl.config import LATEST_EPISODES, TrainRLConfig
 from nerf_rl.rl.experience.noise import EpsilonZGreedy, Noise, linear_schedule
 
 STRUCTURE = {"awaits_success": flag, "lately": listing(flag)}
 """of what :meth:`Exploration.state_dict` has beside ``explored_from``, which checkpoints of every version hold"""
 _HELD_IN_WARM_UP = 0.8  # of the steps
-_LATELY = 20  # episodes
 
 
 class Exploration:
     """Turns a policy's actions into those of training: noise is added, and some of them are held random ones.
 
-    Both become less by the clock, which with ``noise.wait_for_successes`` begins once so many of the latest training
-    episodes have succeeded: an agent that found a place of rest first is to look further. One success may be luck, of
-    which an agent that explores less and less makes nothing.
+    Both become less by the clock, which begins once ``noise.wait_for_successes`` of the latest training episodes have
+    succeeded: an agent that found a place of rest first is to look further, and one success may be luck.
 
     Args:
         config: of the run.
@@ -38,7 +36,7 @@ class Exploration:
         self._noise = Noise(config.noise, envs, action_size, steps, rng)
         held = (config.noise.epsilon_z_steps, rng, config.noise.epsilon_z_kind)
         self._held = EpsilonZGreedy(envs, action_size, *held)
-        self._lately: deque[bool] = deque(maxlen=_LATELY)
+        self._lately: deque[bool] = deque(maxlen=LATEST_EPISODES)
         self._since, self._awaits_success = 0, config.noise.wait_for_successes > 0
 
     def begin(self, env_step: int) -> None:
@@ -74,9 +72,7 @@ class Exploration:
         random = self._rng.uniform(-1.0, 1.0, self._shape).astype(np.float32)
         return self._held.override(random, _HELD_IN_WARM_UP)
 
-    def around(
-        self, action: Float[ndarray, "E A"], env_step: int, anew: Bool[ndarray, "E"] | bool = False
-    ) -> Float[ndarray, "E A"]:
+    def around(self, action: Float[ndarray, "E A"], env_step: int, anew: Bool[ndarray, "E"]) -> Float[ndarray, "E A"]:
         """Return actions near the policy's.
 
         Args:
@@ -95,7 +91,7 @@ class Exploration:
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on from a checkpoint, perhaps of an earlier version, which waited for nothing."""
         self._since, self._awaits_success = state["explored_from"], state.get("awaits_success", False)
-        self._lately = deque(state.get("lately", []), _LATELY)
+        self._lately = deque(state.get("lately", []), LATEST_EPISODES)
 
     def _decayed(self, start: float, env_step: int) -> float:
         return linear_schedule(start, 0.0, self._config.decay_steps, self.elapsed(env_step))
