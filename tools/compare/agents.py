@@ -40,6 +40,7 @@ UNBOUNDED, UNWAITING = ["--learner.bound_by_returns", "false"], ["--noise.wait_f
 IMITATION = ["--learner.imitation_weight", "0.1"]
 STRONG_IMITATION = ["--learner.imitation_weight", "0.5"]
 CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]
+DEMONSTRATIONS = ["--config", "rl/demonstrations.yaml"]
 ARMS = {
     "the recipe": [],
     "targets without bounds": UNBOUNDED,
@@ -51,8 +52,10 @@ ARMS = {
     "strong self-imitation and curriculum": [*STRONG_IMITATION, *CURRICULUM],
     "blind": ["--control", "blind"],
     "blind, strong self-imitation and curriculum": ["--control", "blind", *STRONG_IMITATION, *CURRICULUM],
+    "3 demonstrations": DEMONSTRATIONS,
+    "blind, 3 demonstrations": [*DEMONSTRATIONS, "--control", "blind"],
 }
-"""what is done otherwise, and the keys for it"""
+"""what is done otherwise, and the keys for it; a recipe, which comes first, takes the place of RECIPE"""
 ONE_SUCCESS, LAST_WEIGHTS = ", from one success", ", last weights"
 VARIATIONS = {ONE_SUCCESS: ["--noise.wait_for_successes", "1"], LAST_WEIGHTS: ["--learner.policy_average", "0"]}
 """of every arm: what its name ends with, and the keys for it"""
@@ -84,15 +87,16 @@ def main() -> None:
         folder = arguments.work / compared.replace(" ", "-") / arm.replace(" ", "-").replace(",", "")
         runs = [run_folder(folder, seed) for seed in parse_seeds(arguments.seeds)]
         if not all((run / SUMMARY).exists() for run in runs):
-            words = ["--scene", arguments.scene, *KEYS, "--env_steps", str(arguments.env_steps), *keys, *sees]
+            words = [*keys, "--scene", arguments.scene, *KEYS, "--env_steps", str(arguments.env_steps), *sees]
             train([*words, "--seeds", arguments.seeds, "--out", str(folder)])
         record(arguments.scene, eyes, arguments.env_steps, arm, keys, [row(run) for run in runs])
 
 
 def train(arguments: list[str]) -> None:
-    """Train the seeds of a sweep that are missing."""
-    command = ["nerf-rl", "train-rl", "--config", RECIPE, *arguments, "--resume", "true"]
-    subprocess.run([sys.executable, "-m", "nerf_rl.cli", *command[1:]], check=True)
+    """Train the seeds of a sweep that are missing; what comes later overrides what comes before."""
+    recipe = [] if arguments[0] == "--config" else ["--config", RECIPE]
+    command = [sys.executable, "-m", "nerf_rl.cli", "train-rl", *recipe, *arguments, "--resume", "true"]
+    subprocess.run(command, check=True)
 
 
 def row(run: Path) -> dict[str, Any]:
@@ -129,7 +133,7 @@ def record(scene: str, eyes: str, env_steps: int, arm: str, keys: list[str], run
             each["arm"],
         ),
     )
-    command = f"python -m tools.compare.agents; {RECIPE} {' '.join(KEYS)}"
+    command = f"python -m tools.compare.agents; {RECIPE}, unless keys name another, {' '.join(KEYS)}"
     write_json(RESULT, {"command": command, "arms": arms})
     write_text(README, replace_tables(README.read_text(), {"agents": table(arms)}))
 
