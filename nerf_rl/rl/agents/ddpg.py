@@ -160,7 +160,7 @@ class DDPG:
             return critic_metrics
         own = self.learner.actor_batch == "uniform" and replay.prioritised
         actor_batch = self._standardise(replay.sample_uniform()) if own else batch
-        actor_metrics = self.update_actor(actor_batch, self._demonstrated(replay))
+        actor_metrics = self.update_actor(actor_batch, self._demonstrated(replay), batch if own else None)
         self._slow_actor.follow()
         if self._average:
             self._average.follow()
@@ -193,16 +193,18 @@ class DDPG:
         }
         return metrics, error
 
-    def update_actor(self, batch: Batch, demonstrated: Batch | None = None) -> Metrics:
+    def update_actor(
+        self, batch: Batch, demonstrated: Batch | None = None, prioritised: Batch | None = None
+    ) -> Metrics:
         """Climb Q(s, mu(s)); the critic's parameters are held still and receive no gradient.
 
         Args:
-            batch: standardised. Where an episode brought more from a step on than is expected of mu, mu is drawn to
-                what was done: w mean max(0, R - Q(s, mu(s))) |mu(s) - a|^2 / A joins the loss (Oh et al. 2018,
-                "self-imitation learning", for a deterministic policy). One action's gradient does not show a way out
-                of a place of rest that takes several actions in turn; what once led out of it does.
+            batch: standardised.
             demonstrated: not to go far from, for now: w mean|Q| mean (mu(s) - a)^2 joins the loss, after TD3+BC
                 (Fujimoto and Gu 2021), with a weight w that falls to 0 over ``learner.clone_updates``.
+            prioritised: where mu imitates what was done, see :meth:`_imitation`; ``batch`` if there is none. What
+                brought more than was expected has a large error, at least where targets are bounded by it, so that it
+                is drawn often; in a uniform batch a rare success is lost.
         """
         with self._gathering(self.actor):
             pre_tanh = self.actor.pre_tanh(batch.observation)
@@ -213,10 +215,9 @@ class DDPG:
         loss = -value.mean() + self.learner.pre_tanh_penalty * magnitude
         metrics = {}
         if self.learner.imitation_weight > 0:
-            surplus = (self.learner.reward_scale * batch.bound - value.detach()).clamp(min=0.0)
-            imitated = (surplus * (action - batch.action).square().mean(-1)).mean()
-            loss = loss + self.learner.imitation_weight * imitated
-            metrics["surplus"] = surplus.mean().item()
+            imitation, surplus = self._imitation(batch if prioritised is None else prioritised)
+            loss = loss + self.learner.imitation_weight * imitation
+            metrics["surplus"] = surplus.item()
         if distance is not None:
             loss = loss + self._clone_weight() * value.detach().abs().mean() * distance
         gradient = self._step(self.actor_optimiser, loss)
@@ -233,6 +234,19 @@ class DDPG:
         self._step(self.actor_optimiser, distance)
         self._slow_actor.follow()
         return metrics | {"clone_error": distance.item()}
+
+    def _imitation(self, batch: Batch) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+        """Return mean max(0, R - Q(s, mu(s))) |mu(s) - a|^2 / A, and its first factor's mean.
+
+        After "self-imitation learning" (Oh et al. 2018), for a deterministic policy: one action's gradient does not
+        show a way out of a place of rest that takes several actions in turn; what once led out of it does.
+        """
+        with self._gathering(self.actor):
+            action = self.actor(batch.observation)
+        with torch.no_grad():
+            expected = self.critic(batch.observation, action)
+        surplus = (self.learner.reward_scale * batch.bound - expected).clamp(min=0.0)
+        return (surplus * (action - batch.action).square().mean(-1)).mean(), surplus.mean()
 
     def _distance(self, batch: Batch) -> Float[Tensor, ""]:
         """Return the mean squared distance of the actor's actions from those of a batch."""
