@@ -148,8 +148,9 @@ class LearnerConfig:
     the same actions bring the same again"""
     imitation_weight: Annotated[float, Limits(least=0, most=10**6)] = 0.0
     """draw the actor to its own past actions where their episodes brought more than the critic expects of it now (Oh et
-    al. 2018, "self-imitation learning"), by so much, times this weight; 0 for never. Actions are those of the critic's
-    batch"""
+    al. 2018, "self-imitation learning"), by so much, times this weight; 0 for never"""
+    imitation_batch: Literal["actor", "critic"] = "actor"
+    """whose batch holds those actions: the actor's, or the critic's, in which priorities repeat what was a surprise"""
     updates_per_step: Annotated[float, Limits(above=0, most=1000)] = 1.0
     """gradient updates per agent step"""
     reset_after: Natural = 0

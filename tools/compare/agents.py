@@ -37,7 +37,9 @@ ON_THE_WAY, EPISODES = 30_000, 50
 KEYS = ["--evaluation_every", str(ON_THE_WAY), "--checkpoint_every", str(ON_THE_WAY)]
 KEYS += ["--evaluation_episodes", str(EPISODES), "--final_evaluation_episodes", str(EPISODES)]
 UNBOUNDED, UNWAITING = ["--learner.bound_by_returns", "false"], ["--noise.wait_for_successes", "0"]
-IMITATION = ["--learner.imitation_weight", "0.5"]
+IMITATION = ["--learner.imitation_weight", "0.1"]
+STRONG_IMITATION = ["--learner.imitation_weight", "0.5"]
+PRIORITISED_IMITATION = [*STRONG_IMITATION, "--learner.imitation_batch", "critic"]
 CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]
 DEMONSTRATIONS = ["--config", "rl/demonstrations.yaml"]
 ARMS = {
@@ -45,17 +47,18 @@ ARMS = {
     "targets without bounds": UNBOUNDED,
     "exploration that does not wait": UNWAITING,
     "neither": [*UNBOUNDED, *UNWAITING],
+    "self-imitation": IMITATION,
     "curriculum": CURRICULUM,
-    "prioritised self-imitation and curriculum": [*IMITATION, *CURRICULUM],
+    "self-imitation and curriculum": [*IMITATION, *CURRICULUM],
+    "strong self-imitation and curriculum": [*STRONG_IMITATION, *CURRICULUM],
+    "prioritised self-imitation and curriculum": [*PRIORITISED_IMITATION, *CURRICULUM],
     "blind": ["--control", "blind"],
-    "blind, prioritised self-imitation and curriculum": ["--control", "blind", *IMITATION, *CURRICULUM],
+    "blind, strong self-imitation and curriculum": ["--control", "blind", *STRONG_IMITATION, *CURRICULUM],
+    "blind, prioritised self-imitation and curriculum": ["--control", "blind", *PRIORITISED_IMITATION, *CURRICULUM],
     "3 demonstrations": DEMONSTRATIONS,
     "blind, 3 demonstrations": [*DEMONSTRATIONS, "--control", "blind"],
 }
 """what is done otherwise, and the keys for it; a recipe, which comes first, takes the place of RECIPE"""
-BEFORE = ["self-imitation", "self-imitation and curriculum", "strong self-imitation and curriculum"]
-BEFORE += ["blind, strong self-imitation and curriculum"]
-"""of revisions that drew what is imitated uniformly"""
 ONE_SUCCESS, LAST_WEIGHTS = ", from one success", ", last weights"
 VARIATIONS = {ONE_SUCCESS: ["--noise.wait_for_successes", "1"], LAST_WEIGHTS: ["--learner.policy_average", "0"]}
 """of every arm: what its name ends with, and the keys for it"""
@@ -124,7 +127,7 @@ def record(scene: str, eyes: str, env_steps: int, arm: str, keys: list[str], run
     kept = {run["seed"]: run for each in same for run in each["runs"]} | {run["seed"]: run for run in runs}
     own = {**what, "keys": keys, "processor": processor()}
     own["runs"] = [kept[seed] for seed in sorted(kept)]
-    order = [*BEFORE, *ARMS]
+    order = list(ARMS)
     arms = sorted(
         [*(each for each in known if each not in same), own],
         key=lambda each: (

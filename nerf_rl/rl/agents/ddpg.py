@@ -160,7 +160,8 @@ class DDPG:
             return critic_metrics
         own = self.learner.actor_batch == "uniform" and replay.prioritised
         actor_batch = self._standardise(replay.sample_uniform()) if own else batch
-        actor_metrics = self.update_actor(actor_batch, self._demonstrated(replay), batch if own else None)
+        imitated = batch if own and self.learner.imitation_batch == "critic" else None
+        actor_metrics = self.update_actor(actor_batch, self._demonstrated(replay), imitated)
         self._slow_actor.follow()
         if self._average:
             self._average.follow()
@@ -193,18 +194,16 @@ class DDPG:
         }
         return metrics, error
 
-    def update_actor(
-        self, batch: Batch, demonstrated: Batch | None = None, prioritised: Batch | None = None
-    ) -> Metrics:
+    def update_actor(self, batch: Batch, demonstrated: Batch | None = None, imitated: Batch | None = None) -> Metrics:
         """Climb Q(s, mu(s)); the critic's parameters are held still and receive no gradient.
 
         Args:
             batch: standardised.
             demonstrated: not to go far from, for now: w mean|Q| mean (mu(s) - a)^2 joins the loss, after TD3+BC
                 (Fujimoto and Gu 2021), with a weight w that falls to 0 over ``learner.clone_updates``.
-            prioritised: where mu imitates what was done, see :meth:`_imitation`; ``batch`` if there is none. What
-                brought more than was expected has a large error, at least where targets are bounded by it, so that it
-                is drawn often; in a uniform batch a rare success is lost.
+            imitated: where mu is drawn to what was done, see :meth:`_imitation`; ``batch`` if there is none. What
+                brought more than was expected has a large error, at least where targets are bounded by it, so that the
+                critic's prioritised batch has it often; in a uniform one a rare success is lost.
         """
         with self._gathering(self.actor):
             pre_tanh = self.actor.pre_tanh(batch.observation)
@@ -215,7 +214,10 @@ class DDPG:
         loss = -value.mean() + self.learner.pre_tanh_penalty * magnitude
         metrics = {}
         if self.learner.imitation_weight > 0:
-            imitation, surplus = self._imitation(batch if prioritised is None else prioritised)
+            if imitated is None:
+                imitation, surplus = self._imitation(batch, action, value.detach())
+            else:
+                imitation, surplus = self._imitation(imitated, *self._expected(imitated))
             loss = loss + self.learner.imitation_weight * imitation
             metrics["surplus"] = surplus.item()
         if distance is not None:
@@ -235,16 +237,26 @@ class DDPG:
         self._slow_actor.follow()
         return metrics | {"clone_error": distance.item()}
 
-    def _imitation(self, batch: Batch) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+    def _expected(self, batch: Batch) -> tuple[Float[Tensor, "B A"], Float[Tensor, "B"]]:
+        """Return mu(s), and Q(s, mu(s)) without a gradient."""
+        with self._gathering(self.actor):
+            action = self.actor(batch.observation)
+        with torch.no_grad():
+            return action, self.critic(batch.observation, action)
+
+    def _imitation(
+        self, batch: Batch, action: Float[Tensor, "B A"], expected: Float[Tensor, "B"]
+    ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
         """Return mean max(0, R - Q(s, mu(s))) |mu(s) - a|^2 / A, and its first factor's mean.
 
         After "self-imitation learning" (Oh et al. 2018), for a deterministic policy: one action's gradient does not
         show a way out of a place of rest that takes several actions in turn; what once led out of it does.
+
+        Args:
+            batch: with R and a.
+            action: mu(s).
+            expected: Q(s, mu(s)), without a gradient.
         """
-        with self._gathering(self.actor):
-            action = self.actor(batch.observation)
-        with torch.no_grad():
-            expected = self.critic(batch.observation, action)
         surplus = (self.learner.reward_scale * batch.bound - expected).clamp(min=0.0)
         return (surplus * (action - batch.action).square().mean(-1)).mean(), surplus.mean()
 

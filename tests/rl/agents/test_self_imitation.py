@@ -1,6 +1,7 @@
 """The actor's pull towards what it did once, where that brought more than is expected of it now."""
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -62,14 +63,15 @@ def test_the_loss_is_the_mean_of_surplus_times_squared_distance() -> None:
     assert metrics["actor_loss"] == pytest.approx(-2.0 + 0.3 * float((surplus * distance).mean()), abs=1e-5)
 
 
-def test_what_is_drawn_by_priority_is_imitated_and_not_the_actors_own_batch() -> None:
+def test_another_batch_can_be_imitated_than_the_actors_own() -> None:
     agent, own = made(1.0), batch(10.0)._replace(action=torch.full((16, 2), -DONE))
     for _ in range(200):
-        agent.update_actor(own, prioritised=batch(10.0))
+        agent.update_actor(own, imitated=batch(10.0))
     assert (agent.actor(own.observation).detach() - DONE).abs().max() < 0.05
 
 
-def test_an_update_imitates_what_the_critic_has_learnt_from(tmp_path: Path) -> None:
+@pytest.mark.parametrize("whose", ["actor", "critic"])
+def test_an_update_imitates_the_batch_that_it_is_told_to(whose: Literal["actor", "critic"], tmp_path: Path) -> None:
     class Watched(DDPG):
         def update_critic(self, batch: Batch) -> tuple[dict[str, float], torch.Tensor]:
             self.of_critic = batch
@@ -83,11 +85,12 @@ def test_an_update_imitates_what_the_critic_has_learnt_from(tmp_path: Path) -> N
     here = np.zeros(3, np.float32)
     replay.add([Transition(here, np.full(2, 0.1 * i, np.float32), 1.0, 0.9, here) for i in range(10)], 0)
     replay.end_episode(0, 10.0, lambda observation: 0.0)
-    learner = LearnerConfig(imitation_weight=0.5, batch_size=16)
+    learner = LearnerConfig(imitation_weight=0.5, imitation_batch=whose, batch_size=16)
     agent = Watched(3, 2, NetworkConfig(hidden=[16, 16], standardise=False), learner)
     agent.update(replay, 1.0)
-    own, demonstrated, prioritised = agent.of_actor
-    assert prioritised is agent.of_critic and own is not agent.of_critic and demonstrated is None
+    own, demonstrated, imitated = agent.of_actor
+    assert own is not agent.of_critic and demonstrated is None
+    assert imitated is {"actor": None, "critic": agent.of_critic}[whose]  # none: the actor's own
 
 
 def test_without_a_weight_nothing_is_imitated() -> None:
