@@ -202,8 +202,8 @@ class DDPG:
             demonstrated: not to go far from, for now: w mean|Q| mean (mu(s) - a)^2 joins the loss, after TD3+BC
                 (Fujimoto and Gu 2021), with a weight w that falls to 0 over ``learner.clone_updates``.
             imitated: where mu is drawn to what was done, see :meth:`_imitation`; ``batch`` if there is none. What
-                brought more than was expected has a large error, at least where targets are bounded by it, so that the
-                critic's prioritised batch has it often; in a uniform one a rare success is lost.
+                brought more than was expected has a large error where targets are bounded by it, so that the critic's
+                prioritised batch has it more often than a uniform one.
         """
         with self._gathering(self.actor):
             pre_tanh = self.actor.pre_tanh(batch.observation)
