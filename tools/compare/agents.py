@@ -40,6 +40,7 @@ UNBOUNDED, UNWAITING = ["--learner.bound_by_returns", "false"], ["--noise.wait_f
 IMITATION = ["--learner.imitation_weight", "0.1"]
 STRONG_IMITATION = ["--learner.imitation_weight", "0.5"]
 PRIORITISED_IMITATION = [*STRONG_IMITATION, "--learner.imitation_batch", "critic"]
+HALF_PRIORITISED_IMITATION = [*STRONG_IMITATION, "--learner.imitation_batch", "both"]
 CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]
 DEMONSTRATIONS = ["--config", "rl/demonstrations.yaml"]
 ARMS = {
@@ -52,9 +53,15 @@ ARMS = {
     "self-imitation and curriculum": [*IMITATION, *CURRICULUM],
     "strong self-imitation and curriculum": [*STRONG_IMITATION, *CURRICULUM],
     "prioritised self-imitation and curriculum": [*PRIORITISED_IMITATION, *CURRICULUM],
+    "half-prioritised self-imitation and curriculum": [*HALF_PRIORITISED_IMITATION, *CURRICULUM],
     "blind": ["--control", "blind"],
     "blind, strong self-imitation and curriculum": ["--control", "blind", *STRONG_IMITATION, *CURRICULUM],
     "blind, prioritised self-imitation and curriculum": ["--control", "blind", *PRIORITISED_IMITATION, *CURRICULUM],
+    "blind, half-prioritised self-imitation and curriculum": [
+        *("--control", "blind"),
+        *HALF_PRIORITISED_IMITATION,
+        *CURRICULUM,
+    ],
     "3 demonstrations": DEMONSTRATIONS,
     "blind, 3 demonstrations": [*DEMONSTRATIONS, "--control", "blind"],
 }
