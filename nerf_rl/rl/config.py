@@ -149,9 +149,8 @@ class LearnerConfig:
     imitation_weight: Annotated[float, Limits(least=0, most=10**6)] = 0.0
     """draw the actor to its own past actions where their episodes brought more than the critic expects of it now (Oh et
     al. 2018, "self-imitation learning"), by so much, times this weight; 0 for never"""
-    imitation_batch: Literal["actor", "critic", "both"] = "actor"
-    """whose batch holds those actions: the actor's; the critic's, in which priorities repeat what was a surprise; or
-    half of both"""
+    imitation_batch: Literal["actor", "critic"] = "actor"
+    """whose batch holds those actions: the actor's, or the critic's, in which priorities repeat what was a surprise"""
     updates_per_step: Annotated[float, Limits(above=0, most=1000)] = 1.0
     """gradient updates per agent step"""
     reset_after: Natural = 0

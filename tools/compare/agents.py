@@ -40,7 +40,6 @@ UNBOUNDED, UNWAITING = ["--learner.bound_by_returns", "false"], ["--noise.wait_f
 IMITATION = ["--learner.imitation_weight", "0.1"]
 STRONG_IMITATION = ["--learner.imitation_weight", "0.5"]
 PRIORITISED_IMITATION = [*STRONG_IMITATION, "--learner.imitation_batch", "critic"]
-HALF_PRIORITISED_IMITATION = [*STRONG_IMITATION, "--learner.imitation_batch", "both"]
 CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]
 TWO_UPDATES = ["--learner.updates_per_step", "2"]
 DEMONSTRATIONS = ["--config", "rl/demonstrations.yaml"]
@@ -54,16 +53,10 @@ ARMS = {
     "self-imitation and curriculum": [*IMITATION, *CURRICULUM],
     "strong self-imitation and curriculum": [*STRONG_IMITATION, *CURRICULUM],
     "prioritised self-imitation and curriculum": [*PRIORITISED_IMITATION, *CURRICULUM],
-    "half-prioritised self-imitation and curriculum": [*HALF_PRIORITISED_IMITATION, *CURRICULUM],
     "strong self-imitation and curriculum, two updates a step": [*STRONG_IMITATION, *CURRICULUM, *TWO_UPDATES],
     "blind": ["--control", "blind"],
     "blind, strong self-imitation and curriculum": ["--control", "blind", *STRONG_IMITATION, *CURRICULUM],
     "blind, prioritised self-imitation and curriculum": ["--control", "blind", *PRIORITISED_IMITATION, *CURRICULUM],
-    "blind, half-prioritised self-imitation and curriculum": [
-        *("--control", "blind"),
-        *HALF_PRIORITISED_IMITATION,
-        *CURRICULUM,
-    ],
     "blind, strong self-imitation and curriculum, two updates a step": [
         *("--control", "blind"),
         *STRONG_IMITATION,

@@ -160,9 +160,8 @@ class DDPG:
             return critic_metrics
         own = self.learner.actor_batch == "uniform" and replay.prioritised
         actor_batch = self._standardise(replay.sample_uniform()) if own else batch
-        imitated = self._imitated_of_critic() if own else 0
-        others = batch.first(imitated) if imitated else None
-        actor_metrics = self.update_actor(actor_batch, self._demonstrated(replay), others)
+        imitated = batch if own and self.learner.imitation_batch == "critic" else None
+        actor_metrics = self.update_actor(actor_batch, self._demonstrated(replay), imitated)
         self._slow_actor.follow()
         if self._average:
             self._average.follow()
@@ -195,35 +194,34 @@ class DDPG:
         }
         return metrics, error
 
-    def update_actor(self, batch: Batch, demonstrated: Batch | None = None, others: Batch | None = None) -> Metrics:
+    def update_actor(self, batch: Batch, demonstrated: Batch | None = None, imitated: Batch | None = None) -> Metrics:
         """Climb Q(s, mu(s)); the critic's parameters are held still and receive no gradient.
 
         Args:
-            batch: of B transitions, standardised.
+            batch: standardised.
             demonstrated: not to go far from, for now: w mean|Q| mean (mu(s) - a)^2 joins the loss, after TD3+BC
                 (Fujimoto and Gu 2021), with a weight w that falls to 0 over ``learner.clone_updates``.
-            others: at most B transitions that are imitated in place of as many of the batch, see :meth:`_imitation`.
-                What brought more than was expected has a large error where targets are bounded by it, so that the
-                critic's prioritised batch has it more often than a uniform one.
+            imitated: where mu is drawn to what was done, see :meth:`_imitation`; ``batch`` if there is none. What
+                brought more than was expected has a large error where targets are bounded by it, so that the critic's
+                prioritised batch has it more often than a uniform one.
         """
-        count, rows = len(batch.reward), batch if others is None else batch.followed_by(others)
         with self._gathering(self.actor):
-            pre_tanh = self.actor.pre_tanh(rows.observation)
+            pre_tanh = self.actor.pre_tanh(batch.observation)
             distance = None if demonstrated is None else self._distance(demonstrated)
-        magnitude = pre_tanh[:count].square().mean()
+        magnitude = pre_tanh.square().mean()
         action = torch.tanh(pre_tanh)
-        value = self.critic(rows.observation, action)
-        loss = -value[:count].mean() + self.learner.pre_tanh_penalty * magnitude
+        value = self.critic(batch.observation, action)
+        loss = -value.mean() + self.learner.pre_tanh_penalty * magnitude
         metrics = {}
         if self.learner.imitation_weight > 0:
-            imitated = slice(len(rows.reward) - count, None)
-            imitation, surplus = self._imitation(
-                rows.bound[imitated], rows.action[imitated], action[imitated], value[imitated].detach()
-            )
+            if imitated is None:
+                imitation, surplus = self._imitation(batch, action, value.detach())
+            else:
+                imitation, surplus = self._imitation(imitated, *self._expected(imitated))
             loss = loss + self.learner.imitation_weight * imitation
             metrics["surplus"] = surplus.item()
         if distance is not None:
-            loss = loss + self._clone_weight() * value[:count].detach().abs().mean() * distance
+            loss = loss + self._clone_weight() * value.detach().abs().mean() * distance
         gradient = self._step(self.actor_optimiser, loss)
         metrics |= {"actor_loss": loss.item(), "pre_tanh": magnitude.item() ** 0.5, "actor_gradient": gradient}
         return metrics
@@ -239,17 +237,15 @@ class DDPG:
         self._slow_actor.follow()
         return metrics | {"clone_error": distance.item()}
 
-    def _imitated_of_critic(self) -> int:
-        """Return how many transitions of the critic's batch are imitated."""
-        size = self.learner.batch_size
-        return {"actor": 0, "critic": size, "both": size // 2}[self.learner.imitation_batch]
+    def _expected(self, batch: Batch) -> tuple[Float[Tensor, "B A"], Float[Tensor, "B"]]:
+        """Return mu(s), and Q(s, mu(s)) without a gradient."""
+        with self._gathering(self.actor):
+            action = self.actor(batch.observation)
+        with torch.no_grad():
+            return action, self.critic(batch.observation, action)
 
     def _imitation(
-        self,
-        found: Float[Tensor, "B"],
-        done: Float[Tensor, "B A"],
-        action: Float[Tensor, "B A"],
-        expected: Float[Tensor, "B"],
+        self, batch: Batch, action: Float[Tensor, "B A"], expected: Float[Tensor, "B"]
     ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
         """Return mean max(0, R - Q(s, mu(s))) |mu(s) - a|^2 / A, and its first factor's mean.
 
@@ -257,13 +253,12 @@ class DDPG:
         show a way out of a place of rest that takes several actions in turn; what once led out of it does.
 
         Args:
-            found: R, unscaled.
-            done: a.
+            batch: with R and a.
             action: mu(s).
             expected: Q(s, mu(s)), without a gradient.
         """
-        surplus = (self.learner.reward_scale * found - expected).clamp(min=0.0)
-        return (surplus * (action - done).square().mean(-1)).mean(), surplus.mean()
+        surplus = (self.learner.reward_scale * batch.bound - expected).clamp(min=0.0)
+        return (surplus * (action - batch.action).square().mean(-1)).mean(), surplus.mean()
 
     def _distance(self, batch: Batch) -> Float[Tensor, ""]:
         """Return the mean squared distance of the actor's actions from those of a batch."""

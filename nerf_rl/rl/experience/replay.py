@@ -41,14 +41,6 @@ class Batch(NamedTuple):
     bound: Float[Tensor, "B"]
     """what the transition's episode brought from it on, discounted; the least number where nothing is known"""
 
-    def first(self, count: int) -> "Batch":
-        """Return the first ``count`` transitions."""
-        return Batch(*(each[:count] for each in self))
-
-    def followed_by(self, other: "Batch") -> "Batch":
-        """Return the transitions of both."""
-        return Batch(*(torch.cat(both) for both in zip(self, other, strict=True)))
-
 
 class Replay:
     """Memory of n-step transitions.

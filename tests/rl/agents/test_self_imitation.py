@@ -63,27 +63,15 @@ def test_the_loss_is_the_mean_of_surplus_times_squared_distance() -> None:
     assert metrics["actor_loss"] == pytest.approx(-2.0 + 0.3 * float((surplus * distance).mean()), abs=1e-5)
 
 
-def test_other_transitions_can_be_imitated_than_the_actors_own() -> None:
+def test_another_batch_can_be_imitated_than_the_actors_own() -> None:
     agent, own = made(1.0), batch(10.0)._replace(action=torch.full((16, 2), -DONE))
     for _ in range(200):
-        agent.update_actor(own, others=batch(10.0))
+        agent.update_actor(own, imitated=batch(10.0))
     assert (agent.actor(own.observation).detach() - DONE).abs().max() < 0.05
 
 
-def test_half_as_many_others_take_the_place_of_half_of_its_own() -> None:
-    agent, own = made(1.0), batch(10.0)._replace(action=torch.full((16, 2), -DONE))
-    others = batch(10.0).first(8)
-    for _ in range(200):
-        agent.update_actor(own, others=others)
-    drawn = agent.actor(others.observation).detach()
-    alone = agent.actor(own.observation[8:]).detach()
-    assert drawn.mean() > 0.1 and alone.mean() < -0.1  # and nothing of its own where others are
-
-
-@pytest.mark.parametrize("whose", ["actor", "critic", "both"])
-def test_an_update_imitates_the_batch_that_it_is_told_to(
-    whose: Literal["actor", "critic", "both"], tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("whose", ["actor", "critic"])
+def test_an_update_imitates_the_batch_that_it_is_told_to(whose: Literal["actor", "critic"], tmp_path: Path) -> None:
     class Watched(DDPG):
         def update_critic(self, batch: Batch) -> tuple[dict[str, float], torch.Tensor]:
             self.of_critic = batch
@@ -100,13 +88,9 @@ def test_an_update_imitates_the_batch_that_it_is_told_to(
     learner = LearnerConfig(imitation_weight=0.5, imitation_batch=whose, batch_size=16)
     agent = Watched(3, 2, NetworkConfig(hidden=[16, 16], standardise=False), learner)
     agent.update(replay, 1.0)
-    own, demonstrated, others = agent.of_actor
+    own, demonstrated, imitated = agent.of_actor
     assert own is not agent.of_critic and demonstrated is None
-    if whose == "actor":
-        assert others is None
-    else:
-        assert len(others.indices) == {"critic": 16, "both": 8}[whose]
-        assert torch.equal(others.indices, agent.of_critic.indices[: len(others.indices)])
+    assert imitated is {"actor": None, "critic": agent.of_critic}[whose]  # none: the actor's own
 
 
 def test_without_a_weight_nothing_is_imitated() -> None:
