@@ -42,6 +42,7 @@ STRONG_IMITATION = ["--learner.imitation_weight", "0.5"]
 PRIORITISED_IMITATION = [*STRONG_IMITATION, "--learner.imitation_batch", "critic"]
 CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]
 TWO_UPDATES = ["--learner.updates_per_step", "2"]
+BLIND = ["--control", "blind"]
 DEMONSTRATIONS = ["--config", "rl/demonstrations.yaml"]
 ARMS = {
     "the recipe": [],
@@ -54,17 +55,17 @@ ARMS = {
     "strong self-imitation and curriculum": [*STRONG_IMITATION, *CURRICULUM],
     "prioritised self-imitation and curriculum": [*PRIORITISED_IMITATION, *CURRICULUM],
     "strong self-imitation and curriculum, two updates a step": [*STRONG_IMITATION, *CURRICULUM, *TWO_UPDATES],
-    "blind": ["--control", "blind"],
-    "blind, strong self-imitation and curriculum": ["--control", "blind", *STRONG_IMITATION, *CURRICULUM],
-    "blind, prioritised self-imitation and curriculum": ["--control", "blind", *PRIORITISED_IMITATION, *CURRICULUM],
+    "blind": BLIND,
+    "blind, strong self-imitation and curriculum": [*BLIND, *STRONG_IMITATION, *CURRICULUM],
+    "blind, prioritised self-imitation and curriculum": [*BLIND, *PRIORITISED_IMITATION, *CURRICULUM],
     "blind, strong self-imitation and curriculum, two updates a step": [
-        *("--control", "blind"),
+        *BLIND,
         *STRONG_IMITATION,
         *CURRICULUM,
         *TWO_UPDATES,
     ],
     "3 demonstrations": DEMONSTRATIONS,
-    "blind, 3 demonstrations": [*DEMONSTRATIONS, "--control", "blind"],
+    "blind, 3 demonstrations": [*DEMONSTRATIONS, *BLIND],
 }
 """what is done otherwise, and the keys for it; a recipe, which comes first, takes the place of RECIPE"""
 ONE_SUCCESS, LAST_WEIGHTS = ", from one success", ", last weights"
