@@ -14,7 +14,6 @@ from nerf_rl.pretrain.data.view_batches import ViewBatch
 from nerf_rl.pretrain.model.encoder import Encoder
 from nerf_rl.pretrain.model.precision import in_full_precision
 
-_DECODER_CHANNELS = (96, 64, 48, 32)
 _MOST_SHIFT = 1 / 16  # of an image's size, as CURL's 4 pixels of 64
 _KEY_MOMENTUM = 0.99
 _HIDDEN_PATCHES, _PATCHES_ACROSS = 0.5, 8
@@ -136,6 +135,10 @@ class StateRegression(Objective):
 class PictureDecoder(nn.Module):
     """Paints all of an encoder's views from z, at its images' size.
 
+    It mirrors the encoder: the same patches and channels from coarse to fine, so that painting a picture costs about
+    what reading it does. With a last layer at full size a step takes several times as long, and in the same time z
+    learns less.
+
     Args:
         encoder: whose views to paint.
         channels: of a picture.
@@ -143,16 +146,17 @@ class PictureDecoder(nn.Module):
 
     def __init__(self, encoder: Encoder, channels: int):
         super().__init__()
-        rig, widths = encoder.rig, _DECODER_CHANNELS
+        rig, patch, widths = encoder.rig, encoder.config.patch, encoder.config.channels[::-1]
         self._size = (rig.height, rig.width)
-        doublings = len(widths) - 1
-        self._coarse = (math.ceil(rig.height / 2**doublings), math.ceil(rig.width / 2**doublings))
+        cell = patch * 2 ** (len(widths) - 1)  # pixels
+        self._coarse = (math.ceil(rig.height / cell), math.ceil(rig.width / cell))
         self._shape = (len(rig.projections), channels)
         self.first = nn.Linear(encoder.latent_size, widths[0] * math.prod(self._coarse))
         blocks: list[nn.Module] = []
         for before, after in pairwise(widths):
             blocks += [nn.ReLU(), nn.Upsample(scale_factor=2), nn.Conv2d(before, after, 3, padding=1)]
-        self.blocks = nn.Sequential(*blocks, nn.ReLU(), nn.Conv2d(widths[-1], math.prod(self._shape), 3, padding=1))
+        patches = nn.Conv2d(widths[-1], math.prod(self._shape) * patch**2, 3, padding=1)
+        self.blocks = nn.Sequential(*blocks, nn.ReLU(), patches, nn.PixelShuffle(patch))
 
     def forward(self, latent: Float[Tensor, "B Z"]) -> Float[Tensor, "B V C H W"]:
         """Return the pictures."""

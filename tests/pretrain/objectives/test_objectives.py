@@ -1,6 +1,7 @@
 """Encoders that something else than a radiance field teaches: recipes, what they learn, what they refuse."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -18,7 +19,7 @@ from nerf_rl.pretrain.data.view_batches import ViewBatch, ViewBatches
 from nerf_rl.pretrain.model.encoder import Encoder
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 from nerf_rl.pretrain.objectives.picture_module import PictureModule
-from nerf_rl.pretrain.objectives.picture_objectives import OBJECTIVES, MaskedAutoencoder, shifted
+from nerf_rl.pretrain.objectives.picture_objectives import OBJECTIVES, MaskedAutoencoder, PictureDecoder, shifted
 
 ROOT = Path(__file__).parents[3] / "pretrain"
 DEMO, RECIPES = str(ROOT / "demo.yaml"), sorted((ROOT / "objectives").glob("*.yaml"))
@@ -93,6 +94,15 @@ def test_an_objective_learns_and_its_seed_decides_it(name: str, encoder: Encoder
     assert all(value.grad is not None for value in encoder.parameters())
     if name in ("masked", "contrastive"):
         assert loss(0).item() != loss(1).item()
+
+
+@pytest.mark.parametrize(("height", "width", "patch"), [(64, 64, 4), (51, 46, 4), (7, 33, 1), (30, 17, 8)])
+def test_every_pixel_of_any_size_is_painted_from_the_latent(encoder: Encoder, height: int, width: int, patch: int):
+    rig = replace(encoder.rig, height=height, width=width)
+    decoder = PictureDecoder(Encoder(EncoderConfig(latent=8, patch=patch, channels=[8, 16, 16]), rig), channels=2)
+    painted = decoder(torch.randn(16, 8))
+    assert painted.shape == (16, len(rig.names), 2, height, width)
+    assert painted.std(0).min() > 0
 
 
 def test_what_is_hidden_never_reaches_the_encoder(encoder: Encoder, batch: ViewBatch):
