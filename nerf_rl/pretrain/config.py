@@ -22,8 +22,9 @@ from nerf_rl.pretrain.stopping import parse_goal
 TEACHERS = ("depth", "normals")
 _MOST_IN_A_PLANE = 2**27
 FIELD: Final = "field"
+ANCHORS: Final = "anchors"
 RANDOM: Final = "random"
-Objective = Literal["field", "autoencoder", "depth", "masked", "contrastive", "supervised", "random"]
+Objective = Literal["field", "anchors", "autoencoder", "depth", "masked", "contrastive", "supervised", "random"]
 _HOW_NOT_WHAT = "data out resume overwrite threads loader_workers steps max_minutes accelerator devices nodes strategy"
 _HOW_NOT_WHAT += " log_every loggers stop_when"
 
@@ -128,8 +129,9 @@ class PretrainConfig:
     out: str
     """output folder"""
     objective: Objective = FIELD
-    """what teaches the encoder: field (the radiance field), autoencoder, depth, masked (an autoencoder of hidden
-    views and patches), contrastive, supervised (the true state), or random (nothing: an untrained encoder)"""
+    """what teaches the encoder: field (the radiance field), anchors (where the cameras see each class that moves),
+    autoencoder, depth, masked (an autoencoder of hidden views and patches), contrastive, supervised (the true state),
+    or random (nothing: an untrained encoder)"""
     encoder: EncoderConfig = field(default_factory=EncoderConfig)
     """multi-view encoder"""
     radiance_field: FieldConfig = field(default_factory=FieldConfig)

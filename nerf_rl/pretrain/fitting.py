@@ -167,7 +167,7 @@ def make_module(
         return module
     if config.objective == RANDOM:
         return EncoderModule(config, dataset, data.rig)
-    return PictureModule(config, dataset, data.rig)
+    return PictureModule(config, dataset, data.statistics, data.rig)
 
 
 def _export(module: EncoderModule, dataset: MultiViewDataset, config: PretrainConfig, folder: Path) -> ProbeResult:

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.stored_manifest import DEPTH, LABELS, STATE
 from nerf_rl.errors import UserError
-from nerf_rl.pretrain.config import FIELD, TEACHERS, PretrainConfig
+from nerf_rl.pretrain.config import ANCHORS, FIELD, TEACHERS, PretrainConfig
 
-_NEEDED_OBJECTIVES = {"depth": DEPTH, "supervised": STATE}
+_NEEDED_OBJECTIVES = {"depth": (DEPTH,), "supervised": (STATE,), ANCHORS: (DEPTH, LABELS)}
 _MEASURED = {"miou": LABELS, "depth_mae_m": DEPTH}  # by --stop_when
 _RECIPES = {
     (
@@ -27,9 +27,10 @@ def require_modalities(dataset: MultiViewDataset, config: PretrainConfig) -> Non
         UserError: it lacks depth, labels or state that is asked for; the message says what does without.
     """
     absent = set(dataset.absent)
-    needed = _NEEDED_OBJECTIVES.get(config.objective)
-    if needed in absent:
-        raise UserError(f"{dataset.folder} has no {needed}, which --objective {config.objective} learns; {_OTHERS}")
+    missing = [kind for kind in _NEEDED_OBJECTIVES.get(config.objective, ()) if kind in absent]
+    if missing:
+        what = " and no ".join(missing)
+        raise UserError(f"{dataset.folder} has no {what}, which --objective {config.objective} learns from; {_OTHERS}")
     if config.objective == "depth" and dataset.read_valid([0]) is not None:
         raise UserError(
             f"{dataset.folder} has pixels of unknown depth or that are masked, which --objective depth cannot leave "

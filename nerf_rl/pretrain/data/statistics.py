@@ -10,7 +10,7 @@ from nerf_rl.cameras.geometry import camera_position, pixel_directions
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.stored_manifest import DEPTH
 from nerf_rl.errors import UserError
-from nerf_rl.pretrain.config import PretrainConfig
+from nerf_rl.pretrain.config import ANCHORS, PretrainConfig
 from nerf_rl.pretrain.data.anchors import Anchors, Middles, choose_anchors, countable_labels, visible_middles
 from nerf_rl.pretrain.data.looked_at import FARTHEST, NEAREST, distances_to_what_is_looked_at
 from nerf_rl.pretrain.model.field import FieldBounds
@@ -72,7 +72,8 @@ def measure(dataset: MultiViewDataset, config: PretrainConfig) -> Statistics:
         pixels = _as_if_looked_at(pixels, poses[:, views], config)
     bounds = _bounds(dataset, config, pixels, intrinsics[views], poses[:, views])
     weights = frequency**-config.class_balance, 1.0 + config.change_boost * change
-    followed = _middles(dataset, frames) if config.losses.anchor else Middles.of_nothing(len(dataset.class_names))
+    follows = config.losses.anchor or config.objective == ANCHORS
+    followed = _middles(dataset, frames) if follows else Middles.of_nothing(len(dataset.class_names))
     return Statistics(bounds, *weights, choose_anchors(followed))
 
 

@@ -4,12 +4,14 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
+from numpy import ndarray
 from torch import Tensor
 from torch.utils.data import Dataset
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
-from nerf_rl.pretrain.config import PretrainConfig
+from nerf_rl.pretrain.config import ANCHORS, PretrainConfig
+from nerf_rl.pretrain.data.anchors import FollowedMiddles, Middles, countable_labels
 from nerf_rl.pretrain.data.batches import WHOLE, drawn_frames
 from nerf_rl.pretrain.data.statistics import Statistics
 
@@ -27,6 +29,11 @@ class ViewBatch(NamedTuple):
     """planar depth, 0 at the nearest surface and 1 at the backdrop"""
     state: Float[Tensor, "B S"]
     """columns of the true state that vary, in deviations from their mean"""
+    middles: Float[Tensor, "B A 3"]
+    """where these cameras see the classes that move, from their mean and in units of how far each moves; A is 0 unless
+    an objective learns from them"""
+    seen: Bool[Tensor, "B A"]
+    """whether they do"""
 
 
 class ViewBatches(Dataset):
@@ -44,20 +51,34 @@ class ViewBatches(Dataset):
         self._views = dataset.views("encoder")
         self._near, self._far = statistics.bounds.near, statistics.bounds.far
         self._columns, self._mean, self._deviation = standardised_state(dataset)
+        self._anchors = statistics.anchors
+        self._followed = FollowedMiddles(dataset, self._anchors) if config.objective == ANCHORS else None
 
     def __getitem__(self, step: int) -> ViewBatch:
         frames = drawn_frames(self._dataset, self._config, step)[self._share]
         images = self._dataset.read("rgb", frames)[:, self._views]
         intrinsics, poses = self._dataset.tracked_cameras(frames)
         projections = intrinsics[self._views] @ poses[:, self._views, :3]
-        depth = (self._dataset.read("depth", frames)[:, self._views] - self._near) / (self._far - self._near)
+        metres = self._dataset.read("depth", frames)[:, self._views]
+        depth = (metres - self._near) / (self._far - self._near)
+        middles = self._middles(frames, metres, intrinsics[self._views], poses[:, self._views])
         state = self._dataset.tracked_positions(frames)[:, self._columns]
         return ViewBatch(
             torch.from_numpy(np.ascontiguousarray(images)),
             torch.from_numpy(projections.astype(np.float32)),
             torch.from_numpy(depth.clip(0.0, 1.0).astype(np.float32)),
             torch.from_numpy(((state - self._mean) / self._deviation).astype(np.float32)),
+            torch.from_numpy(middles.place.astype(np.float32)),
+            torch.from_numpy(middles.seen),
         )
+
+    def _middles(self, frames: ndarray, depth: ndarray, intrinsics: ndarray, poses: ndarray) -> Middles:
+        """Return where classes are as :class:`ViewBatch` tells it, of none if nothing learns from them."""
+        if self._followed is None:
+            return Middles(np.zeros((len(frames), 0, 3)), np.zeros((len(frames), 0), bool))
+        labels = countable_labels(self._dataset.read_labels(frames), self._dataset.read_valid(frames))[:, self._views]
+        found = self._followed.of(frames, depth, labels, intrinsics, poses)
+        return found._replace(place=(found.place - self._anchors.mean) / self._anchors.spread[:, None])
 
 
 def standardised_state(dataset: MultiViewDataset) -> tuple[list[int], np.ndarray, np.ndarray]:

@@ -3,7 +3,7 @@
 from dataclasses import asdict
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -40,10 +40,19 @@ def losses(
     if "feature" in values:
         named["feature"] = F.mse_loss(values["feature"].float(), batch.feature)
     if len(spread):
-        errors = (origins - batch.middles) / spread[:, None]
-        each = F.smooth_l1_loss(errors, torch.zeros_like(errors), reduction="none", beta=_BETA)
-        named["anchor"] = (each.sum(-1) * batch.seen).mean()
+        named["anchor"] = anchor_loss((origins - batch.middles) / spread[:, None], batch.seen)
     return named
+
+
+def anchor_loss(errors: Float[Tensor, "B A 3"], seen: Bool[Tensor, "B A"]) -> Tensor:
+    """Return the Huber loss of where classes are taken to be.
+
+    Args:
+        errors: in units of how far each class moves.
+        seen: whether it is known where they are; what is hidden counts as right.
+    """
+    each = F.smooth_l1_loss(errors, torch.zeros_like(errors), reduction="none", beta=_BETA)
+    return (each.sum(-1) * seen).mean()
 
 
 def weighted_sum(named: dict[str, Tensor], weights: LossConfig) -> Tensor:

@@ -3,7 +3,9 @@
 from torch import Tensor
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
-from nerf_rl.pretrain.config import PretrainConfig
+from nerf_rl.errors import UserError
+from nerf_rl.pretrain.config import ANCHORS, PretrainConfig
+from nerf_rl.pretrain.data.statistics import Statistics
 from nerf_rl.pretrain.data.view_batches import ViewBatch, standardised_state
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 from nerf_rl.pretrain.objectives.encoder_module import EncoderModule
@@ -16,13 +18,20 @@ class PictureModule(EncoderModule):
     Args:
         config: of the run, with the name of the objective.
         dataset: that it is trained on.
+        statistics: of the dataset.
         rig: the encoder's cameras.
+
+    Raises:
+        UserError: the objective learns where classes are that move, and none does.
     """
 
-    def __init__(self, config: PretrainConfig, dataset: MultiViewDataset, rig: EncoderRig):
+    def __init__(self, config: PretrainConfig, dataset: MultiViewDataset, statistics: Statistics, rig: EncoderRig):
         super().__init__(config, dataset, rig)
         columns, *_ = standardised_state(dataset)
-        self.objective = OBJECTIVES[config.objective](self.encoder, len(columns))
+        classes = len(statistics.anchors.classes)
+        if config.objective == ANCHORS and not classes:
+            raise UserError(f"{dataset.folder} shows no class that moves, which --objective {ANCHORS} learns from")
+        self.objective = OBJECTIVES[config.objective](self.encoder, len(columns), classes)
 
     def training_step(self, batch: ViewBatch, step: int) -> Tensor:
         """Return the loss of a step, of this process's share of its scenes; log every loss by its name, of all."""

@@ -1,4 +1,4 @@
-"""What may teach an encoder in place of a radiance field: objectives on its own pictures, and the true state."""
+"""What may teach an encoder but a radiance field: its own pictures, where things are in them, and the true state."""
 
 import copy
 import math
@@ -10,9 +10,11 @@ from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from nerf_rl.pretrain.config import ANCHORS
 from nerf_rl.pretrain.data.view_batches import ViewBatch
 from nerf_rl.pretrain.model.encoder import Encoder
 from nerf_rl.pretrain.model.precision import in_full_precision
+from nerf_rl.pretrain.objectives.losses import anchor_loss
 
 _MOST_SHIFT = 1 / 16  # of an image's size, as CURL's 4 pixels of 64
 _KEY_MOMENTUM = 0.99
@@ -26,9 +28,10 @@ class Objective(nn.Module, ABC):
     Args:
         encoder: to train.
         columns: of the true state that vary.
+        classes: that move.
     """
 
-    def __init__(self, encoder: Encoder, columns: int):
+    def __init__(self, encoder: Encoder, columns: int, classes: int):
         super().__init__()
 
     @abstractmethod
@@ -45,8 +48,8 @@ class Objective(nn.Module, ABC):
 class Autoencoder(Objective):
     """All views are painted from z; squared error of colours in [0, 1]."""
 
-    def __init__(self, encoder: Encoder, columns: int):
-        super().__init__(encoder, columns)
+    def __init__(self, encoder: Encoder, columns: int, classes: int):
+        super().__init__(encoder, columns, classes)
         self.decoder = PictureDecoder(encoder, channels=3)
 
     def forward(self, encoder: Encoder, batch: ViewBatch, generator: torch.Generator) -> dict[str, Tensor]:
@@ -58,8 +61,8 @@ class Autoencoder(Objective):
 class DepthPrediction(Objective):
     """The depth of all views is painted from z; mean error as a share of the range of depths."""
 
-    def __init__(self, encoder: Encoder, columns: int):
-        super().__init__(encoder, columns)
+    def __init__(self, encoder: Encoder, columns: int, classes: int):
+        super().__init__(encoder, columns, classes)
         self.decoder = PictureDecoder(encoder, channels=1)
 
     def forward(self, encoder: Encoder, batch: ViewBatch, generator: torch.Generator) -> dict[str, Tensor]:
@@ -75,8 +78,8 @@ class MaskedAutoencoder(Objective):
     ICML 2023), with the convolutional encoder and z as the only way through.
     """
 
-    def __init__(self, encoder: Encoder, columns: int):
-        super().__init__(encoder, columns)
+    def __init__(self, encoder: Encoder, columns: int, classes: int):
+        super().__init__(encoder, columns, classes)
         self.decoder = PictureDecoder(encoder, channels=3)
 
     def forward(self, encoder: Encoder, batch: ViewBatch, generator: torch.Generator) -> dict[str, Tensor]:
@@ -101,8 +104,8 @@ class Contrastive(Objective):
     CURL (Laskin et al. 2020): random shifts, a key encoder that follows slowly, a bilinear similarity, InfoNCE.
     """
 
-    def __init__(self, encoder: Encoder, columns: int):
-        super().__init__(encoder, columns)
+    def __init__(self, encoder: Encoder, columns: int, classes: int):
+        super().__init__(encoder, columns, classes)
         self.key_encoder = copy.deepcopy(encoder).requires_grad_(False)
         self.similarity = nn.Parameter(torch.rand(encoder.latent_size, encoder.latent_size))
 
@@ -121,8 +124,8 @@ class Contrastive(Objective):
 class StateRegression(Objective):
     """The true state is a linear function of z; squared error in deviations. It shows what pictures let z know."""
 
-    def __init__(self, encoder: Encoder, columns: int):
-        super().__init__(encoder, columns)
+    def __init__(self, encoder: Encoder, columns: int, classes: int):
+        super().__init__(encoder, columns, classes)
         self.head = nn.Linear(encoder.latent_size, columns)
 
     def forward(self, encoder: Encoder, batch: ViewBatch, generator: torch.Generator) -> dict[str, Tensor]:
@@ -130,6 +133,24 @@ class StateRegression(Objective):
         latent = encoder(batch.images, batch.projections)
         with in_full_precision(latent.device):
             return {"state": F.mse_loss(self.head(latent), batch.state)}
+
+
+class AnchorRegression(Objective):
+    """Where the cameras see each class that moves is a linear function of z: the field's anchors, without the field.
+
+    It is to the field what :class:`StateRegression` is to the true state, by labels and depth alone.
+    """
+
+    def __init__(self, encoder: Encoder, columns: int, classes: int):
+        super().__init__(encoder, columns, classes)
+        self.head = nn.Linear(encoder.latent_size, 3 * classes)
+
+    def forward(self, encoder: Encoder, batch: ViewBatch, generator: torch.Generator) -> dict[str, Tensor]:
+        """Return the error of the places."""
+        latent = encoder(batch.images, batch.projections)
+        with in_full_precision(latent.device):
+            places = self.head(latent).reshape(batch.middles.shape)
+            return {"anchor": anchor_loss(places - batch.middles, batch.seen)}
 
 
 class PictureDecoder(nn.Module):
@@ -185,6 +206,7 @@ def _colours(images: UInt8[Tensor, "B V H W 3"]) -> Float[Tensor, "B V 3 H W"]:
 
 
 OBJECTIVES: dict[str, type[Objective]] = {
+    ANCHORS: AnchorRegression,
     "autoencoder": Autoencoder,
     "depth": DepthPrediction,
     "masked": MaskedAutoencoder,

@@ -165,6 +165,9 @@ def test_pictures_alone_are_enough_for_a_field_of_colours(tmp_path: Path, capsys
     said = capsys.readouterr().err
     assert "has no depth and no labels, which --losses.depth, --losses.anchor" in said
     assert "field-rgb.yaml" in said and said.count("\n") == 1 and not (tmp_path / "run").exists()
+    anchors = [*command, "--config", str(PRETRAIN / "objectives" / "anchors.yaml"), *TINY]
+    assert cli.main([*anchors, "--out", str(tmp_path / "run")]) == 2
+    assert "has no depth and no labels, which --objective anchors learns from" in capsys.readouterr().err
     rgb = [*command, "--config", str(PRETRAIN / "objectives" / "field-rgb.yaml"), *TINY, "--log_every", "1"]
     assert cli.main([*rgb, "--out", str(tmp_path / "run")]) == 0
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())

@@ -5,14 +5,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
+import numpy as np
 import pytest
 import torch
 
 from nerf_rl import cli
 from nerf_rl.arguments.parsing import parse_config
 from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.errors import UserError
 from nerf_rl.pretrain import config as names
-from nerf_rl.pretrain.config import EncoderConfig, PretrainConfig
+from nerf_rl.pretrain.config import EncoderConfig, LossConfig, PretrainConfig
+from nerf_rl.pretrain.data.anchors import Anchors
 from nerf_rl.pretrain.data.batches import RayBatches
 from nerf_rl.pretrain.data.statistics import measure
 from nerf_rl.pretrain.data.view_batches import ViewBatch, ViewBatches
@@ -30,7 +33,7 @@ SMALL += ["--validation_frames", "2", "--probe_frames", "9", "--threads", "1"]
 @pytest.fixture(scope="module")
 def batch(tiny_dataset: Path) -> ViewBatch:
     dataset = MultiViewDataset(tiny_dataset)
-    config = PretrainConfig("data", "out", scenes_per_step=8)
+    config = PretrainConfig("data", "out", objective="anchors", scenes_per_step=8)
     return ViewBatches(dataset, config, measure(dataset, config))[0]
 
 
@@ -78,7 +81,7 @@ def test_recipes_differ_from_the_demos_in_what_they_name_alone():
 @pytest.mark.parametrize("name", OBJECTIVES)
 def test_an_objective_learns_and_its_seed_decides_it(name: str, encoder: Encoder, batch: ViewBatch):
     torch.manual_seed(1)
-    objective = OBJECTIVES[name](encoder, batch.state.shape[1])
+    objective = OBJECTIVES[name](encoder, batch.state.shape[1], batch.seen.shape[1])
     parameters = [value for value in (*encoder.parameters(), *objective.parameters()) if value.requires_grad]
     optimiser = torch.optim.Adam(parameters, lr=3e-3)
 
@@ -107,7 +110,7 @@ def test_every_pixel_of_any_size_is_painted_from_the_latent(encoder: Encoder, he
 
 def test_what_is_hidden_never_reaches_the_encoder(encoder: Encoder, batch: ViewBatch):
     """One view is hidden whole and half of the others; only the hidden pixels count."""
-    objective, seen = MaskedAutoencoder(encoder, 1), []
+    objective, seen = MaskedAutoencoder(encoder, 1, 1), []
     encoder.register_forward_pre_hook(lambda _, words: seen.append(words[0]))
     losses = objective(encoder, batch, torch.Generator().manual_seed(0))
     hidden = (seen[0] == 128).all(-1)
@@ -139,6 +142,26 @@ def test_batches_of_views_are_of_the_frames_that_the_field_would_see(tiny_datase
     assert views.depth.min() >= 0 and views.depth.max() <= 1 and views.depth.std() > 0.05
     state = torch.cat([ViewBatches(dataset, config, statistics)[step].state for step in range(40)])
     assert state.mean(0).abs().max() < 0.5 and state.std(0).min() > 0.6 and state.std(0).max() < 1.5
+
+
+def test_places_of_classes_are_those_that_the_field_would_be_pulled_to(tiny_dataset: Path):
+    """In units of how far each moves; whoever learns from something else does not wait for them."""
+    dataset = MultiViewDataset(tiny_dataset)
+    config = PretrainConfig("data", "out", objective="anchors", losses=LossConfig(anchor=0.0), scenes_per_step=6)
+    statistics = measure(dataset, config)
+    views, rays = ViewBatches(dataset, config, statistics)[3], RayBatches(dataset, config, statistics)[3]
+    mean, spread = (torch.from_numpy(value).float() for value in (statistics.anchors.mean, statistics.anchors.spread))
+    assert views.seen.any() and torch.equal(views.seen, rays.seen)
+    torch.testing.assert_close((views.middles * spread[:, None] + mean)[views.seen], rays.middles[views.seen])
+    assert ViewBatches(dataset, replace(config, objective="depth"), statistics)[3].middles.shape == (6, 0, 3)
+
+
+def test_places_of_classes_need_one_that_moves(tiny_dataset: Path):
+    dataset = MultiViewDataset(tiny_dataset)
+    config = PretrainConfig("data", "out", objective="anchors")
+    still = measure(dataset, config)._replace(anchors=Anchors((), np.zeros((0, 3)), np.zeros(0)))
+    with pytest.raises(UserError, match="shows no class that moves, which --objective anchors learns from"):
+        PictureModule(config, dataset, still, EncoderRig.of_dataset(dataset))
 
 
 def test_an_objective_that_was_killed_resumes_to_the_same_bits(
