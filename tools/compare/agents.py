@@ -121,11 +121,17 @@ def row(run: Path) -> dict[str, Any]:
 
 def late_training_success(run: Path) -> float:
     """Return the share of the training episodes in the last 5,000 environment steps that succeeded."""
+    ends, successes = training_episodes(run)
+    return float(successes[ends > ends[-1] - 5000].mean())
+
+
+def training_episodes(run: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return the environment steps at which each training episode ended, and which of them succeeded."""
     with open(run / "monitor.csv", newline="") as file:
         next(file)  # a line on the environment
         episodes = [(int(line["l"]), line["is_success"] == "1") for line in csv.DictReader(file)]
-    ends = np.cumsum([length for length, _ in episodes])
-    return float(np.mean([success for (_, success), end in zip(episodes, ends, strict=True) if end > ends[-1] - 5000]))
+    lengths, successes = zip(*episodes, strict=True)
+    return np.cumsum(lengths), np.array(successes)
 
 
 def record(scene: str, eyes: str, env_steps: int, arm: str, keys: list[str], runs: list[dict[str, Any]]) -> None:

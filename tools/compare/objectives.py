@@ -22,7 +22,7 @@ from tools.record import choices
 
 RESULT, README = Path("pretrain/results/objectives.json"), Path("pretrain/README.md")
 FOLDER, WHOLE = Path("pretrain/objectives"), "field"
-ORDER = ["random", "contrastive", "masked", "autoencoder", "depth"]
+ORDER = ["random", "contrastive", "masked", "autoencoder", "depth", "anchors"]
 ORDER += ["field-rgb", "field-semantic", "field-depth", "field-features", WHOLE, "supervised"]
 
 
@@ -47,7 +47,7 @@ def main() -> None:
 def run(data: Path, objective: str, seed: int, arguments: argparse.Namespace) -> dict[str, Any]:
     """Train and probe; return the figures."""
     scene = MultiViewDataset(data).manifest["scene"]["name"]
-    out = arguments.work / f"{scene.replace('/', '-')}-{seed}" / objective
+    out = arguments.work / f"{scene.replace('/', '-')}-{seed}-{arguments.minutes:g}-minutes" / objective
     recipes = ["--config", RECIPE]
     recipes += ["--config", str(FOLDER / f"{objective}.yaml")] if objective != WHOLE else []
     keys = ["--steps", ENDLESS, "--max_minutes", str(arguments.minutes), "--seed", str(seed), "--resume", "true"]
@@ -58,10 +58,10 @@ def run(data: Path, objective: str, seed: int, arguments: argparse.Namespace) ->
 
 def add(row: dict[str, Any], file: Path) -> None:
     """Write a row into the result file, in place of one of the same run, and the README's table."""
-    what = ("scene", "seed", "objective")
+    what = ("scene", "seed", "minutes", "objective")
     known = read_json(file)["runs"] if file.exists() else []
     rows = [*(other for other in known if [other[key] for key in what] != [row[key] for key in what]), row]
-    rows.sort(key=lambda one: (one["scene"], one["seed"], ORDER.index(one["objective"])))
+    rows.sort(key=lambda one: (one["scene"], one["seed"], one["minutes"], ORDER.index(one["objective"])))
     words = "python -m tools.compare.objectives DATASETS --seeds SEEDS --minutes MINUTES --threads THREADS"
     write_json(file, {"command": words, "recipes": [RECIPE, str(FOLDER)], "runs": rows})
     if file == RESULT:
@@ -71,7 +71,7 @@ def add(row: dict[str, Any], file: Path) -> None:
 
 def table(rows: list[dict[str, Any]]) -> str:
     """Return a row for each run with the probe's RMSE of every state column that varies, goals apart."""
-    header = ["task", "seed", "objective", "steps", "PSNR [dB]", "mIoU", "probe [mm]"]
+    header = ["task", "seed", "minutes", "objective", "steps", "PSNR [dB]", "mIoU", "probe [mm]"]
     lines = []
     for row in rows:
         figures = row["validation"]
@@ -80,7 +80,8 @@ def table(rows: list[dict[str, Any]]) -> str:
         )
         shown = (f"{figures['psnr_db']:.1f}", f"{figures['miou']:.2f}") if figures else ("", "")
         task = row["scene"].removeprefix("metaworld/").removesuffix("-v3")
-        lines.append([task, row["seed"], row["objective"], row["steps"], *shown, probe])
+        budget = f"{row['minutes']:g}"
+        lines.append([task, row["seed"], budget, row["objective"], f"{row['steps']:,}", *shown, probe])
     return markdown_table(header, lines)
 
 

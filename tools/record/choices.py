@@ -7,6 +7,7 @@ from pathlib import Path
 from statistics import mean
 from typing import Any
 
+import numpy as np
 import yaml
 
 from nerf_rl.files.atomic import write_text
@@ -36,19 +37,32 @@ def tables() -> dict[str, str]:
 
 
 def objectives(results: dict[str, Any]) -> str:
-    """Return a row for each run: its errors as shares of an untrained encoder's, the best object first."""
-    rows = []
+    """Return a row for each objective and time: its errors as shares of an untrained encoder's, the best object first.
+
+    A cell has those of a task's hand and of all its objects, means over columns and seeds.
+    """
+    tasks = sorted({run["scene"] for run in results["runs"]})
+    shares: dict[tuple[float, str], dict[str, list[tuple[float, float]]]] = {}
     for run in results["runs"]:
-        task = run["scene"].removeprefix("metaworld/").removesuffix("-v3")
-        shares = [
-            mean(run["probe"][name]["rmse_mm"] / run["probe_random_encoder"][name]["rmse_mm"] for name in columns)
-            for group in ("hand", "object")
-            if (columns := [name for name in run["probe"] if name.startswith(f"{group}_")])
-        ]
-        if len(shares) == 2:
-            rows.append((shares[1], [task, run["seed"], f"`{run['objective']}`", run["steps"], *map(percent, shares)]))
-    header = ["task", "seed", "objective", "steps", "error of the hand", "error of the object"]
+        cells = shares.setdefault((run["minutes"], run["objective"]), {})
+        cells.setdefault(run["scene"], []).append(errors(run))
+    rows = []
+    for (minutes, objective), cells in shares.items():
+        found = {task: np.mean(cells[task], axis=0) for task in cells}
+        told = [", ".join(map(percent, found[task])) if task in found else "" for task in tasks]
+        rows.append((mean(float(objects) for _, objects in found.values()), [f"`{objective}`", f"{minutes:g}", *told]))
+    header = ["objective", "minutes", *(task.removeprefix("metaworld/").removesuffix("-v3") for task in tasks)]
     return markdown_table(header, [row for _, row in sorted(rows, key=lambda row: row[0])])
+
+
+def errors(run: dict[str, Any]) -> tuple[float, float]:
+    """Return a run's errors of the hand and of the objects, as shares of an untrained encoder's."""
+    shares = {
+        name: figure["rmse_mm"] / run["probe_random_encoder"][name]["rmse_mm"] for name, figure in run["probe"].items()
+    }
+    hand = [share for name, share in shares.items() if name.startswith("hand_")]
+    objects = [share for name, share in shares.items() if not name.startswith(("hand_", "goal_"))]
+    return mean(hand), mean(objects)
 
 
 def cameras(results: dict[str, Any]) -> str:
