@@ -91,12 +91,16 @@ def table(agents: list[dict[str, Any]]) -> str:
     for agent in agents:
         scores = sorted(run["evaluations"][-1][SUCCESS] for run in agent["runs"])
         low, high = stratified_interval(np.array(scores)[:, None], mean) if len(scores) > 1 else (0.0, 1.0)
-        task = agent["scene"].removeprefix("metaworld/").removesuffix("-v3")
         told = [f"{np.mean(scores):.0%} ({low:.0%} to {high:.0%})", f"{sum(rate >= GOOD for rate in scores)}"]
         told += [f"{len(scores)}", ", ".join(f"{100 * rate:.0f}" for rate in scores)]
-        rows.append([task, f"{agent['env_steps']:,}", agent["objective"], *told])
+        rows.append([task_of(agent), f"{agent['env_steps']:,}", agent["objective"], *told])
     last = ["success, mean (95 % interval)", f"at {GOOD:.0%}", "seeds", f"of each, {EPISODES} episodes [%]"]
     return markdown_table(["task", "env steps", "latents of", *last], rows)
+
+
+def task_of(agent: dict[str, Any]) -> str:
+    """Return the short name of what an agent was trained on."""
+    return str(agent["scene"]).removeprefix("metaworld/").removesuffix("-v3")
 
 
 def mean(scores: np.ndarray) -> np.ndarray:
@@ -116,16 +120,16 @@ def draw(agents: list[dict[str, Any]]) -> None:
         panel.set_axis_off()
     for panel, agent in zip(panels, agents, strict=False):
         curves = np.array([run["training_success"] for run in agent["runs"]], np.float64)
-        steps = SPAN * np.arange(1, curves.shape[1] + 1)
+        steps = SPAN // 1000 * np.arange(1, curves.shape[1] + 1)
         panel.plot(steps, curves.T, color="0.7", linewidth=0.7)
         panel.plot(steps, curves.mean(0), marker=".")
         if len(curves) > 1:
             lows, highs = zip(*(stratified_interval(column[:, None], mean) for column in curves.T), strict=True)
             panel.fill_between(steps, lows, highs, alpha=0.25)
-        panel.set_title(f"{agent['objective']} ({len(curves)})", fontsize=8)
+        panel.set_title(f"{task_of(agent)}, {agent['objective']} ({len(curves)})", fontsize=7)
         panel.set(ylim=(-0.03, 1.03))
-        panel.tick_params(labelsize=7)
-    figure.supxlabel("environment steps", fontsize=8)
+        panel.tick_params(labelsize=7, labelbottom=True)
+    figure.supxlabel("thousand environment steps", fontsize=8)
     figure.supylabel("training episodes that succeed", fontsize=8)
     with atomic_write(FIGURE) as aside:
         figure.savefig(aside, format="png", dpi=120)

@@ -138,7 +138,7 @@ class StateRegression(Objective):
 class AnchorRegression(Objective):
     """Where the cameras see each class that moves is a linear function of z: the field's anchors, without the field.
 
-    It is to the field what :class:`StateRegression` is to the true state, by labels and depth alone.
+    Labels and depth tell it, as in a field's anchor loss; nothing is rendered, and no true state is needed.
     """
 
     def __init__(self, encoder: Encoder, columns: int, classes: int):
@@ -157,7 +157,7 @@ class PictureDecoder(nn.Module):
     """Paints all of an encoder's views from z, at its images' size.
 
     It mirrors the encoder: the same patches and channels from coarse to fine, so that painting a picture costs about
-    what reading it does. With a last layer at full size a step takes several times as long, and in the same time z
+    what reading it does. With a last layer at full size a step takes nearly twice as long, and in the same time z
     learns less.
 
     Args:
