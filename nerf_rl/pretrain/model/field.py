@@ -15,6 +15,7 @@ from nerf_rl.files.json_files import write_json
 from nerf_rl.files.tensor_files import filled, read_tensors, write_tensors
 from nerf_rl.pretrain.config import FieldConfig
 from nerf_rl.pretrain.model.field_description import DESCRIPTION, FORMAT, WEIGHTS, read_field_description
+from nerf_rl.pretrain.model.frame_origins import FrameOrigins
 from nerf_rl.pretrain.model.precision import in_full_precision
 
 _COARSE_OCTAVES = 2  # that moving frames always see
@@ -92,7 +93,7 @@ class RadianceField(nn.Module):
         self.sizes = {"latent": latent, "classes": classes, "teacher_features": teacher_features, "anchors": anchors}
         self.frames = anchors + config.free_frames
         self.planes = nn.Parameter(_noise(3, config.plane_features, config.plane_size, config.plane_size))
-        self.frame_origins = nn.Linear(latent, 3 * self.frames) if self.frames else None
+        self.frame_origins = FrameOrigins(latent, self.frames) if self.frames else None
         encoded = (1 + self.frames) * (3 + 6 * config.frequencies) + 3 * config.plane_features
         widths = [encoded] + [config.width] * config.layers
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))
@@ -131,12 +132,16 @@ class RadianceField(nn.Module):
         """Return where in the world the frames are [m]."""
         return self.centre + self.bounds.half_extent * self._origins_in_box(latent)
 
-    def place_anchors(self, middles: Float[Tensor, "A 3"]) -> None:
-        """Let the first frames start at world points [m], where the classes that they follow are on average."""
-        if self.frame_origins is not None and len(middles):
-            with torch.no_grad():
-                inside = (middles.to(self.centre) - self.centre) / self.bounds.half_extent
-                self.frame_origins.bias[: inside.numel()] = inside.flatten()
+    def place_anchors(self, middles: Float[Tensor, "A 3"], spread: Float[Tensor, "A"]) -> None:
+        """Let the first frames start where the classes that they follow are on average.
+
+        Args:
+            middles: those places in the world [m].
+            spread: how far the classes move from there [m].
+        """
+        if self.frame_origins is not None:
+            extent = self.bounds.half_extent
+            self.frame_origins.place((middles.to(self.centre) - self.centre) / extent, spread.to(self.centre) / extent)
 
     def fold(self, latent: Float[Tensor, "B Z"]) -> Folded:
         """Return the layers as latents have them, for any number of points."""
@@ -196,7 +201,7 @@ class RadianceField(nn.Module):
     def _origins_in_box(self, latent: Float[Tensor, "B Z"]) -> Float[Tensor, "B F 3"]:
         if self.frame_origins is None:
             return latent.new_zeros(len(latent), 0, 3)
-        return self.frame_origins(latent).reshape(len(latent), -1, 3)
+        return self.frame_origins(latent)
 
     def _waves(self, x: Float[Tensor, "B N 3"]) -> list[Float[Tensor, "B N 3"]]:
         """Return the sines of all octaves, then their cosines, by the double-angle formulas."""
@@ -236,7 +241,10 @@ class RadianceField(nn.Module):
         def make() -> RadianceField:
             return cls(FieldConfig(**described["config"]), bounds, **sizes)
 
-        return filled(make, read_tensors(folder / WEIGHTS), folder / WEIGHTS).eval()
+        tensors = read_tensors(folder / WEIGHTS)
+        if frames := described["anchors"] + FieldConfig(**described["config"]).free_frames:
+            tensors.setdefault("frame_origins.units", torch.ones(frames))  # one for all, before there were more
+        return filled(make, tensors, folder / WEIGHTS).eval()
 
 
 def _noise(*shape: int) -> Tensor:

@@ -58,7 +58,7 @@ class SnerlModule(EncoderModule):
             teacher_width,
             len(anchors.classes),
         )
-        self.field.place_anchors(torch.from_numpy(anchors.mean))
+        self.field.place_anchors(*(torch.from_numpy(value) for value in (anchors.mean, anchors.spread)))
         self.register_buffer("anchor_spread", torch.from_numpy(anchors.spread).float(), persistent=False)
         self.threads = 1
         """that share the scenes of a training step"""

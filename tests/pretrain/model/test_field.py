@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from nerf_rl.files.tensor_files import read_tensors, write_tensors
 from nerf_rl.pretrain.config import FieldConfig
 from nerf_rl.pretrain.model.field import FieldBounds, RadianceField, contract
 from nerf_rl.pretrain.model.volume_rendering import composite
@@ -75,9 +76,40 @@ def test_anchored_frames_start_where_they_are_put(field: RadianceField):
         field.frame_origins.weight.zero_()
     places = torch.tensor([[0.1, 0.7, 0.05], [0.3, 0.4, 0.2]])
     others = field.origins(torch.zeros(1, 5))[0, 2:]
-    field.place_anchors(places)
+    field.place_anchors(places, torch.ones(2))
     torch.testing.assert_close(field.origins(torch.zeros(1, 5))[0, :2], places)
     torch.testing.assert_close(field.origins(torch.zeros(1, 5))[0, 2:], others)
+
+
+def test_anchored_frames_move_in_units_of_their_classes_ways(field: RadianceField):
+    """So a step of the optimiser moves each by the same share of its way, however short that is."""
+    spread, latent = torch.tensor([0.2, 0.004]), torch.randn(64, 5)
+    field.place_anchors(torch.zeros(2, 3), spread)
+    before = field.origins(latent)
+    optimiser = torch.optim.Adam(field.frame_origins.parameters(), lr=1e-3)
+    field.origins(latent).square().sum().backward()
+    field.frame_origins.bias.grad.zero_()
+    optimiser.step()
+    moved = (field.origins(latent) - before).detach().square().mean((0, 2)).sqrt()
+    near, far = moved[:2] / spread
+    assert 0.5 < near / far < 2.0
+    assert moved[2:].min() > 50 * moved[1]  # of which nobody knows how far they go
+
+
+def test_a_field_of_before_units_has_its_origins_where_they_were(field: RadianceField, tmp_path: Path):
+    field.save(tmp_path)
+    tensors = read_tensors(tmp_path / "field.safetensors")
+    assert torch.equal(tensors.pop("frame_origins.units"), torch.ones(6))
+    write_tensors(tmp_path / "field.safetensors", tensors)
+    latent = torch.randn(3, 5)
+    assert torch.equal(RadianceField.load(tmp_path).origins(latent), field.origins(latent))
+
+
+def test_units_are_kept_with_the_field(field: RadianceField, tmp_path: Path):
+    field.place_anchors(torch.rand(2, 3), torch.tensor([0.3, 0.01]))
+    field.save(tmp_path)
+    latent = torch.randn(3, 5)
+    assert torch.equal(RadianceField.load(tmp_path).origins(latent), field.origins(latent))
 
 
 def test_heads_after_compositing_equal_heads_before(field: RadianceField):
