@@ -16,3 +16,8 @@ def replace_tables(text: str, tables: dict[str, str]) -> str:
         pattern = rf"(<!-- table: {name} -->\n).*?(<!-- end -->)"
         text = re.sub(pattern, lambda match, table=table: f"{match[1]}{table}\n{match[2]}", text, flags=re.DOTALL)
     return text
+
+
+def task_name(scene: str) -> str:
+    """Return what tables call a scene: a Meta-World task without what all of them share."""
+    return scene.removeprefix("metaworld/").removesuffix("-v3")

@@ -27,7 +27,7 @@ from nerf_rl.rl.sweeps.runs import GOOD, read_run, run_folder
 from nerf_rl.rl.sweeps.seed_list import parse_seeds
 from nerf_rl.rl.training.evaluation_results import SUCCESS
 from tools.compare.precision import processor
-from tools.readme_tables import markdown_table, replace_tables
+from tools.readme_tables import markdown_table, replace_tables, task_name
 
 RESULT, README, RECIPE = Path("rl/results/ablation.json"), Path("rl/README.md"), "rl/demo.yaml"
 LATENTS, STATE = "latents and motion", "state with changes"
@@ -138,13 +138,9 @@ def record(scene: str, eyes: str, env_steps: int, arm: str, keys: list[str], run
     """Put runs in place of those of the same seeds, and write file and table."""
     known = read_json(RESULT)["arms"] if RESULT.exists() else []
     what = {"scene": scene, "eyes": eyes, "env_steps": env_steps, "arm": arm}
-    same = [each for each in known if all(each[name] == value for name, value in what.items())]
-    kept = {run["seed"]: run for each in same for run in each["runs"]} | {run["seed"]: run for run in runs}
-    own = {**what, "keys": keys, "processor": processor()}
-    own["runs"] = [kept[seed] for seed in sorted(kept)]
     order = list(ARMS)
     arms = sorted(
-        [*(each for each in known if each not in same), own],
+        joined(known, what, {"keys": keys, "processor": processor()}, runs),
         key=lambda each: (
             *(each[name] for name in ("scene", "eyes", "env_steps")),
             order.index(each["arm"].removesuffix(LAST_WEIGHTS).removesuffix(ONE_SUCCESS)),
@@ -156,6 +152,23 @@ def record(scene: str, eyes: str, env_steps: int, arm: str, keys: list[str], run
     write_text(README, replace_tables(README.read_text(), {"agents": table(arms)}))
 
 
+def joined(
+    known: list[dict[str, Any]], what: dict[str, Any], facts: dict[str, Any], runs: list[dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """Return a result file's entries with runs put in place of those of the same seeds.
+
+    Args:
+        known: the entries so far.
+        what: that tells the entry of the runs from all others.
+        facts: that the entry says of itself beside.
+        runs: with their seeds.
+    """
+    same = [each for each in known if all(each[name] == value for name, value in what.items())]
+    kept = {run["seed"]: run for each in same for run in each["runs"]} | {run["seed"]: run for run in runs}
+    own = {**what, **facts, "runs": [kept[seed] for seed in sorted(kept)]}
+    return [*(each for each in known if each not in same), own]
+
+
 def table(arms: list[dict[str, Any]]) -> str:
     """Return a row for each arm: how often each seed succeeds at the end, and at 30,000 on the way; the worst first."""
     rows = []
@@ -163,13 +176,14 @@ def table(arms: list[dict[str, Any]]) -> str:
         scores = sorted(run["evaluations"][-1][SUCCESS] for run in arm["runs"])
         halfway = sorted(found for run in arm["runs"] if (found := on_the_way(run)) is not None)
         seeds = sorted(run["seed"] for run in arm["runs"])
-        task = arm["scene"].removeprefix("metaworld/").removesuffix("-v3")
         told = [f"{sum(scores) / len(scores):.0%}", f"{sum(rate >= GOOD for rate in scores)} of {len(scores)}"]
         rates, earlier = (", ".join(f"{100 * rate:.0f}" for rate in each) for each in (scores, halfway))
         encoders = {run["encoder"] for run in arm["runs"] if run.get("encoder")}
         eyes = f"{arm['eyes']}, {len(encoders)} encoders" if len(encoders) > 1 else arm["eyes"]
         told += [rates, earlier]
-        rows.append([task, eyes, f"{arm['env_steps']:,}", arm["arm"], ", ".join(map(str, seeds)), *told])
+        rows.append(
+            [task_name(arm["scene"]), eyes, f"{arm['env_steps']:,}", arm["arm"], ", ".join(map(str, seeds)), *told]
+        )
     last = ["success, mean", f"seeds at {GOOD:.0%}", "success of each, sorted [%]", f"at {ON_THE_WAY:,} [%]"]
     return markdown_table(["task", "from", "env steps", "agent", "seeds", *last], rows)
 

@@ -3,7 +3,7 @@
 Run from a checkout's root after tools.compare.objectives, on the folder of its runs of one dataset; agents that are
 finished are not trained again:
 
-    .venv/bin/python -m tools.compare.objective_agents data/objectives/metaworld-drawer-open-v3-0 --seeds 0..9
+    .venv/bin/python -m tools.compare.objective_agents data/objectives/metaworld-drawer-open-v3-0-8-minutes --seeds 0..9
 
 Beside them stand agents that see nothing (z constant) and agents that are told the true state.
 """
@@ -21,12 +21,12 @@ from nerf_rl.rl.sweeps.aggregates import stratified_interval
 from nerf_rl.rl.sweeps.runs import GOOD, run_folder
 from nerf_rl.rl.sweeps.seed_list import parse_seeds
 from nerf_rl.rl.training.evaluation_results import SUCCESS
-from tools.compare.agents import EPISODES, KEYS, train, training_episodes
+from tools.compare.agents import EPISODES, KEYS, joined, train, training_episodes
 from tools.compare.agents import RECIPE as AGENT
 from tools.compare.agents import row as figures_of
 from tools.compare.objectives import ORDER, README, WHOLE
 from tools.compare.precision import processor
-from tools.readme_tables import markdown_table, replace_tables
+from tools.readme_tables import markdown_table, replace_tables, task_name
 
 RESULT, FIGURE = Path("pretrain/results/objective_agents.json"), Path("pretrain/results/objective_agents.png")
 BLIND, STATE = "blind", "true state"
@@ -74,10 +74,7 @@ def record(scene: str, env_steps: int, objective: str, runs: list[dict[str, Any]
     """Put runs in place of those of the same seeds; write file, table and figure."""
     known = read_json(RESULT)["agents"] if RESULT.exists() else []
     what = {"scene": scene, "env_steps": env_steps, "objective": objective}
-    same = [each for each in known if all(each[name] == value for name, value in what.items())]
-    kept = {run["seed"]: run for each in same for run in each["runs"]} | {run["seed"]: run for run in runs}
-    own = {**what, "processor": processor(), "runs": [kept[seed] for seed in sorted(kept)]}
-    agents = [*(each for each in known if each not in same), own]
+    agents = joined(known, what, {"processor": processor()}, runs)
     agents.sort(key=lambda each: (each["scene"], each["env_steps"], ARMS.index(each["objective"])))
     command = f"python -m tools.compare.objective_agents ENCODERS; {AGENT} with {' '.join(KEYS)}"
     write_json(RESULT, {"command": command, "span": SPAN, "agents": agents})
@@ -90,17 +87,15 @@ def table(agents: list[dict[str, Any]]) -> str:
     rows = []
     for agent in agents:
         scores = sorted(run["evaluations"][-1][SUCCESS] for run in agent["runs"])
-        low, high = stratified_interval(np.array(scores)[:, None], mean) if len(scores) > 1 else (0.0, 1.0)
-        told = [f"{np.mean(scores):.0%} ({low:.0%} to {high:.0%})", f"{sum(rate >= GOOD for rate in scores)}"]
+        interval = ""  # one run says nothing of other seeds
+        if len(scores) > 1:
+            low, high = stratified_interval(np.array(scores)[:, None], mean)
+            interval = f" ({low:.0%} to {high:.0%})"
+        told = [f"{np.mean(scores):.0%}{interval}", f"{sum(rate >= GOOD for rate in scores)}"]
         told += [f"{len(scores)}", ", ".join(f"{100 * rate:.0f}" for rate in scores)]
-        rows.append([task_of(agent), f"{agent['env_steps']:,}", agent["objective"], *told])
+        rows.append([task_name(agent["scene"]), f"{agent['env_steps']:,}", agent["objective"], *told])
     last = ["success, mean (95 % interval)", f"at {GOOD:.0%}", "seeds", f"of each, {EPISODES} episodes [%]"]
     return markdown_table(["task", "env steps", "latents of", *last], rows)
-
-
-def task_of(agent: dict[str, Any]) -> str:
-    """Return the short name of what an agent was trained on."""
-    return str(agent["scene"]).removeprefix("metaworld/").removesuffix("-v3")
 
 
 def mean(scores: np.ndarray) -> np.ndarray:
@@ -126,7 +121,7 @@ def draw(agents: list[dict[str, Any]]) -> None:
         if len(curves) > 1:
             lows, highs = zip(*(stratified_interval(column[:, None], mean) for column in curves.T), strict=True)
             panel.fill_between(steps, lows, highs, alpha=0.25)
-        panel.set_title(f"{task_of(agent)}, {agent['objective']} ({len(curves)})", fontsize=7)
+        panel.set_title(f"{task_name(agent['scene'])}, {agent['objective']} ({len(curves)})", fontsize=7)
         panel.set(ylim=(-0.03, 1.03))
         panel.tick_params(labelsize=7, labelbottom=True)
     figure.supxlabel("thousand environment steps", fontsize=8)

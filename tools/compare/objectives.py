@@ -17,7 +17,7 @@ from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
 from tools.compare.precision import ENDLESS, RECIPE
 from tools.compare.tasks import command, made_by
-from tools.readme_tables import markdown_table, replace_tables
+from tools.readme_tables import markdown_table, replace_tables, task_name
 from tools.record import choices
 
 RESULT, README = Path("pretrain/results/objectives.json"), Path("pretrain/README.md")
@@ -82,9 +82,10 @@ def table(rows: list[dict[str, Any]]) -> str:
             f"{name} {figure['rmse_mm']:.1f}" for name, figure in row["probe"].items() if not name.startswith("goal")
         )
         shown = (f"{figures['psnr_db']:.1f}", f"{figures['miou']:.2f}") if figures else ("", "")
-        task = row["scene"].removeprefix("metaworld/").removesuffix("-v3")
         budget = f"{row['minutes']:g}"
-        lines.append([task, row["seed"], budget, row["objective"], f"{row['steps']:,}", *shown, probe])
+        lines.append(
+            [task_name(row["scene"]), row["seed"], budget, row["objective"], f"{row['steps']:,}", *shown, probe]
+        )
     return markdown_table(header, lines)
 
 

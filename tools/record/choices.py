@@ -12,7 +12,7 @@ import yaml
 
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json
-from tools.readme_tables import markdown_table, replace_tables
+from tools.readme_tables import markdown_table, replace_tables, task_name
 
 PAGE = Path(__file__).parents[2] / "docs" / "choosing.md"
 ROOT = PAGE.parents[1]
@@ -39,30 +39,31 @@ def tables() -> dict[str, str]:
 def objectives(results: dict[str, Any]) -> str:
     """Return a row for each objective and time: its errors as shares of an untrained encoder's, the best object first.
 
-    A cell has those of a task's hand and of all its objects, means over columns and seeds.
+    A cell has those of a task's hand and of all its objects, means over columns and seeds. Scenes that lack either are
+    left out.
     """
-    tasks = sorted({run["scene"] for run in results["runs"]})
     shares: dict[tuple[float, str], dict[str, list[tuple[float, float]]]] = {}
     for run in results["runs"]:
-        cells = shares.setdefault((run["minutes"], run["objective"]), {})
-        cells.setdefault(run["scene"], []).append(errors(run))
+        if found := errors(run):
+            shares.setdefault((run["minutes"], run["objective"]), {}).setdefault(run["scene"], []).append(found)
+    tasks = sorted({task for cells in shares.values() for task in cells})
     rows = []
     for (minutes, objective), cells in shares.items():
-        found = {task: np.mean(cells[task], axis=0) for task in cells}
-        told = [", ".join(map(percent, found[task])) if task in found else "" for task in tasks]
-        rows.append((mean(float(objects) for _, objects in found.values()), [f"`{objective}`", f"{minutes:g}", *told]))
-    header = ["objective", "minutes", *(task.removeprefix("metaworld/").removesuffix("-v3") for task in tasks)]
+        means = {task: np.mean(cells[task], axis=0) for task in cells}
+        told = [", ".join(map(percent, means[task])) if task in means else "" for task in tasks]
+        rows.append((mean(float(objects) for _, objects in means.values()), [f"`{objective}`", f"{minutes:g}", *told]))
+    header = ["objective", "minutes", *map(task_name, tasks)]
     return markdown_table(header, [row for _, row in sorted(rows, key=lambda row: row[0])])
 
 
-def errors(run: dict[str, Any]) -> tuple[float, float]:
-    """Return a run's errors of the hand and of the objects, as shares of an untrained encoder's."""
+def errors(run: dict[str, Any]) -> tuple[float, float] | None:
+    """Return a run's errors of hand and objects, as shares of an untrained encoder's; None if it lacks either."""
     shares = {
         name: figure["rmse_mm"] / run["probe_random_encoder"][name]["rmse_mm"] for name, figure in run["probe"].items()
     }
     hand = [share for name, share in shares.items() if name.startswith("hand_")]
     objects = [share for name, share in shares.items() if not name.startswith(("hand_", "goal_"))]
-    return mean(hand), mean(objects)
+    return (mean(hand), mean(objects)) if hand and objects else None
 
 
 def cameras(results: dict[str, Any]) -> str:

@@ -10,8 +10,8 @@ class FrameOrigins(nn.Linear):
     """Origins that are linear in z, each frame's in a unit of its own.
 
     Adam moves every weight by about the learning rate, whatever the size of its gradient. In one unit for all, such a
-    step can move a frame by some millimetres: little of an arm's way, but more than all of a nail's, so that frames
-    tremble about what moves little, and teach z to. In units of how far each thing moves, none does.
+    step can move a frame by some millimetres: little of an arm's way, but more than all of a nail's. In units of how
+    far each thing moves, a step is the same share of every way.
 
     Args:
         latent: size of z.
