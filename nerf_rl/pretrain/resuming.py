@@ -84,14 +84,18 @@ def _check_optimiser(checkpoint: Mapping[str, Any], module: lightning.LightningM
 
 
 def _same(found: Any, like: Any, place: str) -> None:
-    """Raise StructureError unless a value is built as another one is: the same keys, lengths, shapes and kinds."""
+    """Raise ValueError unless a value is built as another one is: the same keys, lengths, shapes and kinds."""
     if isinstance(like, Tensor):
         fault = tensor_fault(found, like)
         if fault:
             raise StructureError(place, None if isinstance(found, Tensor) else found, f"as it should be: it {fault}")
     elif isinstance(like, Mapping):
-        if not isinstance(found, Mapping) or set(found) != set(like):
-            raise StructureError(place, found, f"a mapping of {', '.join(map(str, like)) or 'nothing'}")
+        if not isinstance(found, Mapping):
+            raise StructureError(place, found, "a mapping")
+        if lacking := [key for key in like if key not in found]:
+            raise ValueError(f"{place} lacks {', '.join(map(str, lacking))}")
+        if strange := [key for key in found if key not in like]:
+            raise ValueError(f"{place} has {', '.join(map(str, strange))}, which this version does not know")
         for key, value in like.items():
             _same(found[key], value, f"{place}.{key}")
     elif isinstance(like, (list, tuple)):

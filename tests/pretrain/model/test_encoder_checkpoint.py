@@ -70,6 +70,36 @@ def run(tiny_encoder: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(tiny_encoder, tmp_path / "run"))
 
 
+@pytest.mark.parametrize(
+    ("is_older", "said"),
+    [
+        (True, "state_dict lacks field.frame_origins.units;"),
+        (False, "state_dict has field.tomorrow, which this version"),
+    ],
+)
+def test_a_run_of_another_version_is_not_gone_on_with(
+    is_older: bool,
+    said: str,
+    run: Path,
+    tiny_dataset: Path,
+    tiny_pretraining_recipe: Path,
+    capsys: pytest.CaptureFixture[str],
+):
+    """The sentence names what one of the two does not have."""
+    content = torch.load(run / LAST, weights_only=True)
+    if is_older:
+        del content["state_dict"]["field.frame_origins.units"]
+    else:
+        content["state_dict"]["field.tomorrow"] = torch.zeros(1)
+    torch.save(content, run / LAST)
+    before = (run / LAST).read_bytes()
+    words = ["--config", str(tiny_pretraining_recipe), "--data", str(tiny_dataset), "--out", str(run), "--steps", "99"]
+    assert cli.main(["pretrain", *words, "--resume", "true"]) == 2
+    told = capsys.readouterr().err
+    assert said in told and told.count("\n") == 1 and len(told) < 400
+    assert (run / LAST).read_bytes() == before
+
+
 def test_a_checkpoint_of_old_without_statistics_is_refused(run: Path):
     content = torch.load(run / LAST, weights_only=True)
     del content["encoder"]
