@@ -43,7 +43,8 @@ class ProbeResult:
     def table(self) -> str:
         """Return the errors as lines of text, each of the linear probe and then of the network probe.
 
-        A median far below its RMSE says that few frames make the error: often those in which no camera sees the thing.
+        A median far below its RMSE says that few frames make the error: often those in which no camera sees the thing,
+        or in which it is where hardly a frame of the training shows it.
         """
         others = {"untrained encoder": self.random_encoder, "supervised encoder": self.supervised}
         beside = {title: figures for title, figures in others.items() if figures is not None}
