@@ -40,7 +40,6 @@ ARMS = {
         "behaviour.scripted": "0.15",
         "behaviour.noisy": "0.5",
     },
-    "2 frames an episode": {"frames_per_episode": "2"},
     "10 frames an episode": {"frames_per_episode": "10"},
 }
 """what differs from the demo's recipe"""
