@@ -50,7 +50,7 @@ demo: $(REPORT)
 # The demo's own recipes; only frames, steps and what is measured at the end are fewer.
 demo-quick: $(READY)
 	rm -rf data/demo-quick runs/demo-quick
-	$(MAKE) demo DEMO=demo-quick DATA_KEYS="--episodes 210 --episodes_per_shard 35" \
+	$(MAKE) demo DEMO=demo-quick DATA_KEYS="--episodes 420 --episodes_per_shard 35" \
 		ENCODER_KEYS="--steps 320 --steps_per_epoch 100 --validation_frames 2 $(ENCODER_KEYS)" \
 		AGENT_KEYS="--env_steps 3000 --warmup_steps 700 --final_evaluation_episodes 2" \
 		REPORT_KEYS="--episodes 1"
