@@ -1,0 +1,59 @@
+"""Put two rounds of the tasks beside each other, on fewer and on more episodes: a page's table.
+
+Run from a checkout's root, after `tools.compare.tasks`:
+
+    .venv/bin/python -m tools.compare.episodes
+
+Both rounds are of `tools.compare.tasks`, with the same seeds, minutes and threads on the same kind of processor. The
+earlier one is kept beside the frames' other results; its revision has the recipe that it is of.
+"""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from nerf_rl.files.atomic import write_text
+from nerf_rl.files.json_files import read_json
+from tools.compare.tasks import RESULT
+from tools.readme_tables import markdown_table, replace_tables
+
+FEWER, PAGE = Path("datasets/results/fewer_episodes.json"), Path("docs/choosing.md")
+
+
+def main() -> None:
+    """Write the page's table."""
+    rounds = [{(row["task"], row["seed"]): row for row in read_json(file)["runs"]} for file in (FEWER, RESULT)]
+    write_text(PAGE, replace_tables(PAGE.read_text(), {"choosing-episodes": table(*rounds)}))
+
+
+def table(fewer: Mapping[tuple[str, int], Any], more: Mapping[tuple[str, int], Any]) -> str:
+    """Return a row for each task and seed that both rounds have."""
+    header = ["task", "seed"]
+    header += [f"{what}, {which} [mm]" for what in ("hand", "objects") for which in ("fewer", "more")]
+    header += ["lowest IoU, fewer", "more"]
+    lines = []
+    for key in sorted(fewer.keys() & more.keys()):
+        rows = fewer[key], more[key]
+        columns = [errors(row["probe"], is_hand) for is_hand in (True, False) for row in rows]
+        lines.append([*key, *columns, *(lowest(row["class_iou"].items()) for row in rows)])
+    return markdown_table(header, lines)
+
+
+def errors(probe: Mapping[str, Mapping[str, float]], is_hand: bool) -> str:
+    """Return the errors of the hand's columns or of the objects', without goals, of which some are not drawn."""
+    chosen = [
+        figures["rmse_mm"]
+        for name, figures in probe.items()
+        if not name.startswith("goal_") and name.startswith("hand_") == is_hand
+    ]
+    return " ".join(f"{value:.1f}" for value in chosen)
+
+
+def lowest(classes: Iterable[tuple[str, float | None]]) -> str:
+    """Return the class with the lowest IoU."""
+    iou, name = min((iou, name) for name, iou in classes if iou is not None)
+    return f"{name} {iou:.2f}"
+
+
+if __name__ == "__main__":
+    main()
