@@ -14,6 +14,7 @@ from typing import Any
 
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json
+from tools.compare.frames import both
 from tools.compare.tasks import RESULT
 from tools.readme_tables import markdown_table, replace_tables
 
@@ -34,19 +35,14 @@ def table(fewer: Mapping[tuple[str, int], Any], more: Mapping[tuple[str, int], A
     lines = []
     for key in sorted(fewer.keys() & more.keys()):
         rows = fewer[key], more[key]
-        columns = [errors(row["probe"], is_hand) for is_hand in (True, False) for row in rows]
-        lines.append([*key, *columns, *(lowest(row["class_iou"].items()) for row in rows)])
+        hands, objects = zip(*(both(drawn(row["probe"])) for row in rows), strict=True)
+        lines.append([*key, *hands, *objects, *(lowest(row["class_iou"].items()) for row in rows)])
     return markdown_table(header, lines)
 
 
-def errors(probe: Mapping[str, Mapping[str, float]], is_hand: bool) -> str:
-    """Return the errors of the hand's columns or of the objects', without goals, of which some are not drawn."""
-    chosen = [
-        figures["rmse_mm"]
-        for name, figures in probe.items()
-        if not name.startswith("goal_") and name.startswith("hand_") == is_hand
-    ]
-    return " ".join(f"{value:.1f}" for value in chosen)
+def drawn(probe: Mapping[str, Mapping[str, float]]) -> dict[str, Mapping[str, float]]:
+    """Return the figures of all columns but goals, of which some are not drawn."""
+    return {name: figures for name, figures in probe.items() if not name.startswith("goal_")}
 
 
 def lowest(classes: Iterable[tuple[str, float | None]]) -> str:
