@@ -13,11 +13,9 @@ import torch
 from torch._subclasses.fake_tensor import FakeTensor, FakeTensorMode
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
-from nerf_rl.pretrain.config import EncoderConfig
 from nerf_rl.pretrain.measures.linear_probe import encode_frames
 from nerf_rl.pretrain.model.encoder import Encoder
 from nerf_rl.pretrain.model.encoder_file import read_description
-from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 from nerf_rl.rl.agents.ddpg import DDPG
 from nerf_rl.rl.agents.networks import LayeredConfig
 from nerf_rl.rl.agents.policy import Policy, make_actor
@@ -103,7 +101,7 @@ def values() -> None:
 def encoder(folder: Path) -> Encoder:
     _, description = read_description(folder)
     with GPU:
-        made = Encoder(EncoderConfig(**description["architecture"]), EncoderRig.from_json(description["rig"]))
+        made = Encoder.described(description)
     return made.eval().requires_grad_(False)
 
 

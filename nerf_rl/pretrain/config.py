@@ -41,6 +41,9 @@ class EncoderConfig:
     """of the convolutions; each after the first halves the image"""
     hidden: Annotated[int, Limits(least=1, most=2**14)] = 256
     """width of g and h"""
+    landmarks: bool = True
+    """segment what the cameras see, and tell z where the classes are that move, triangulated with camera matrices;
+    without losses.anchor no class is known to move"""
 
     def __post_init__(self) -> None:
         check_values(self, "encoder.")
@@ -118,6 +121,8 @@ class LossConfig:
     """distance of the ray's weight from the known surface [m]"""
     anchor: float = 1.0
     """distance of frames from the visible middle of the classes that they follow, in units of how far those move"""
+    segmentation: float = 0.3
+    """cross-entropy of what the cells of the encoder's pictures show, by which it finds landmarks"""
 
 
 @dataclass

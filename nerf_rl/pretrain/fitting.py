@@ -166,7 +166,7 @@ def make_module(
         module.threads = threads
         return module
     if config.objective == RANDOM:
-        return EncoderModule(config, dataset, data.rig)
+        return EncoderModule(config, dataset, data.statistics.anchors, data.rig)
     return PictureModule(config, dataset, data.statistics, data.rig)
 
 

@@ -15,7 +15,7 @@ from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
-from tools.compare.precision import ENDLESS, RECIPE
+from tools.compare.pairs import ENDLESS, RECIPE
 from tools.compare.tasks import command, made_by
 from tools.readme_tables import markdown_table, replace_tables, task_name
 from tools.record import choices

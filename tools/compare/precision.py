@@ -10,23 +10,19 @@ the demo's recipe and as many steps as the minutes allow. By this table `auto` c
 
 import argparse
 import os
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
-from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
-from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.files.versions import git_revision, package_versions
+from tools.compare.pairs import RECIPE, train_pair
 from tools.readme_tables import markdown_table, replace_tables
 
-RESULT, README, RECIPE = Path("pretrain/results/precision.json"), Path("pretrain/README.md"), "pretrain/demo.yaml"
+RESULT, README = Path("pretrain/results/precision.json"), Path("pretrain/README.md")
 PRECISIONS = ("32", "bf16")
 COMMAND = "python -m tools.compare.precision DATASETS --minutes MINUTES --seeds SEEDS"
-ENDLESS = "1000000"  # steps: the minutes end the run
 
 
 def main() -> None:
@@ -56,21 +52,8 @@ def main() -> None:
 def pair(data: Path, seed: int, minutes: float) -> list[dict[str, Any]]:
     """Train in both precisions side by side; return both summaries."""
     with tempfile.TemporaryDirectory() as folder:
-        keys = ["--config", RECIPE, "--data", str(data), "--seed", str(seed), "--threads", "1"]
-        keys += ["--steps", ENDLESS, "--max_minutes", str(minutes)]
-        command = [sys.executable, "-m", "nerf_rl.cli", "pretrain", *keys]
-        processes = [
-            subprocess.Popen(
-                [*command, "--precision", name, "--out", f"{folder}/{name}"], env={**os.environ, "OMP_NUM_THREADS": "1"}
-            )
-            for name in PRECISIONS
-        ]
-        codes = [process.wait() for process in processes]
-        if any(codes):
-            raise SystemExit("a run failed")
-        scene = MultiViewDataset(data).manifest["scene"]["name"]
-        summaries = [read_json(Path(folder) / name / SUMMARY) for name in PRECISIONS]
-    return [{"scene": scene, "seed": seed, **summary} for summary in summaries]
+        keys = {name: ["--precision", name] for name in PRECISIONS}
+        return list(train_pair(data, seed, minutes, keys, Path(folder)).values())
 
 
 def table(machines: list[dict[str, Any]]) -> str:

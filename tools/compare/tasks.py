@@ -18,7 +18,8 @@ from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.files.versions import git_revision, package_versions
-from tools.compare.precision import ENDLESS, processor
+from tools.compare.pairs import ENDLESS
+from tools.compare.precision import processor
 from tools.readme_tables import markdown_table, replace_tables
 
 RESULT, README = Path("pretrain/results/tasks.json"), Path("pretrain/README.md")

@@ -43,6 +43,8 @@ class Anchors(NamedTuple):
     """of their middles over frames [m]"""
     spread: Float[ndarray, "A"]
     """root mean square distance of their middles from there [m]"""
+    share: Float[ndarray, "A"]
+    """of the pixels that show them"""
 
 
 def visible_middles(
@@ -83,8 +85,13 @@ def visible_middles(
     return Middles(np.where(seen[..., None], world.sum(1) / np.maximum(pixels, 1)[..., None], 0.0), seen)
 
 
-def choose_anchors(middles: Middles) -> Anchors:
-    """Return the classes that are seen often enough and do not stay where they are."""
+def choose_anchors(middles: Middles, share: Float[ndarray, "C"]) -> Anchors:
+    """Return the classes that are seen often enough and do not stay where they are.
+
+    Args:
+        middles: of all classes.
+        share: of the pixels that show each.
+    """
     count = np.maximum(middles.seen.sum(0), 1)
     mean = middles.place.sum(0) / count[:, None]
     squared = ((middles.place - mean) ** 2).sum(-1) * middles.seen
@@ -92,7 +99,7 @@ def choose_anchors(middles: Middles) -> Anchors:
     often = middles.seen.mean(0) >= _LEAST_SEEN
     chosen = np.flatnonzero(often & (spread >= _LEAST_SPREAD_M))
     chosen = chosen[chosen != BACKGROUND]
-    return Anchors(tuple(int(c) for c in chosen), mean[chosen], spread[chosen])
+    return Anchors(tuple(int(c) for c in chosen), mean[chosen], spread[chosen], share[chosen])
 
 
 def countable_labels(semantic: UInt8[ndarray, "*S"], valid: Bool[ndarray, "*S"] | None) -> UInt8[ndarray, "*S"]:

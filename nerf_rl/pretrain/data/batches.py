@@ -13,6 +13,7 @@ from nerf_rl.cameras.geometry import camera_position, pixel_directions
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.data.anchors import FollowedMiddles, countable_labels
+from nerf_rl.pretrain.data.segmentation import CellShares
 from nerf_rl.pretrain.data.statistics import Statistics
 from nerf_rl.pretrain.data.teachers import Pixels, Views, teacher_features
 
@@ -43,6 +44,8 @@ class RayBatch(NamedTuple):
     """where the encoder's cameras see the classes that move [m]"""
     seen: Bool[Tensor, "B A"]
     """whether they do"""
+    shares: Float[Tensor, "B V C h w"]
+    """how much of each cell of the encoder's pictures shows what: something else, or one of those classes"""
 
 
 class RayBatches(Dataset):
@@ -61,6 +64,7 @@ class RayBatches(Dataset):
         self._encoder_views = dataset.views("encoder")
         self._views = dataset.views("encoder", "supervision")
         self._middles = FollowedMiddles(dataset, statistics.anchors)
+        self._shares = CellShares(statistics.anchors, config.encoder.patch)
 
     def __getitem__(self, step: int) -> RayBatch:
         config, far = self._config, self._statistics.bounds.far
@@ -86,6 +90,7 @@ class RayBatches(Dataset):
         own = self._encoder_views
         labels = countable_labels(semantic, valid)
         middles = self._middles.of(frames, depth[:, own], labels[:, own], intrinsics[own], poses[:, own])
+        shares = self._shares.of(semantic[:, own], None if valid is None else valid[:, own])
         shape = (len(frames), config.rays_per_scene)
 
         def tensor(values: ndarray, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -102,6 +107,7 @@ class RayBatches(Dataset):
             tensor(features),
             torch.from_numpy(middles.place),
             torch.from_numpy(middles.seen),
+            torch.from_numpy(shares),
         )
 
     def _draw_pixels(

@@ -72,9 +72,9 @@ def measure(dataset: MultiViewDataset, config: PretrainConfig) -> Statistics:
         pixels = _as_if_looked_at(pixels, poses[:, views], config)
     bounds = _bounds(dataset, config, pixels, intrinsics[views], poses[:, views])
     weights = frequency**-config.class_balance, 1.0 + config.change_boost * change
-    follows = config.losses.anchor or config.objective == ANCHORS
+    follows = (config.losses.anchor or config.objective == ANCHORS) and DEPTH not in dataset.absent
     followed = _middles(dataset, frames) if follows else Middles.of_nothing(len(dataset.class_names))
-    return Statistics(bounds, *weights, choose_anchors(followed))
+    return Statistics(bounds, *weights, choose_anchors(followed, frequency))
 
 
 def class_change(shown: Int[ndarray, "C V H W"]) -> Float[ndarray, "V H W"]:

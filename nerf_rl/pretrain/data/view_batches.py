@@ -13,6 +13,7 @@ from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import ANCHORS, PretrainConfig
 from nerf_rl.pretrain.data.anchors import FollowedMiddles, Middles, countable_labels
 from nerf_rl.pretrain.data.batches import WHOLE, drawn_frames
+from nerf_rl.pretrain.data.segmentation import CellShares
 from nerf_rl.pretrain.data.statistics import Statistics
 
 _LEAST_DEVIATION = 1e-4
@@ -34,6 +35,8 @@ class ViewBatch(NamedTuple):
     an objective learns from them"""
     seen: Bool[Tensor, "B A"]
     """whether they do"""
+    shares: Float[Tensor, "B V C h w"]
+    """how much of each cell of a picture shows what: something else, or one of those classes; h is 0 like A"""
 
 
 class ViewBatches(Dataset):
@@ -52,6 +55,7 @@ class ViewBatches(Dataset):
         self._near, self._far = statistics.bounds.near, statistics.bounds.far
         self._columns, self._mean, self._deviation = standardised_state(dataset)
         self._anchors = statistics.anchors
+        self._shares = CellShares(self._anchors, config.encoder.patch)
         self._followed = FollowedMiddles(dataset, self._anchors) if config.objective == ANCHORS else None
 
     def __getitem__(self, step: int) -> ViewBatch:
@@ -70,7 +74,16 @@ class ViewBatches(Dataset):
             torch.from_numpy(((state - self._mean) / self._deviation).astype(np.float32)),
             torch.from_numpy(middles.place.astype(np.float32)),
             torch.from_numpy(middles.seen),
+            torch.from_numpy(self._cell_shares(frames)),
         )
+
+    def _cell_shares(self, frames: ndarray) -> ndarray:
+        """Return what the cells of the pictures show, of none if nothing learns from that."""
+        if self._followed is None:
+            return np.zeros((len(frames), len(self._views), 0, 0, 0), np.float32)
+        valid = self._dataset.read_valid(frames)
+        labels = self._dataset.read_labels(frames)[:, self._views]
+        return self._shares.of(labels, None if valid is None else valid[:, self._views])
 
     def _middles(self, frames: ndarray, depth: ndarray, intrinsics: ndarray, poses: ndarray) -> Middles:
         """Return where classes are as :class:`ViewBatch` tells it, of none if nothing learns from them."""

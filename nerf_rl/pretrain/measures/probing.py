@@ -107,7 +107,7 @@ def probe_encoder(
 
     result = ProbeResult(figures(encoder), figures(encoder.untrained(seed)))
     if ceiling_steps and probed:
-        supervised = train_supervised(encoder.config, encoder.rig, dataset, probed, ceiling_steps, seed)
+        supervised = train_supervised(encoder, dataset, probed, ceiling_steps, seed)
         result.supervised = figures(supervised.to(encoder.latent_mean.device))
     return result
 

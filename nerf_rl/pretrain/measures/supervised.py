@@ -8,9 +8,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
-from nerf_rl.pretrain.config import EncoderConfig
 from nerf_rl.pretrain.model.encoder import Encoder
-from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 from nerf_rl.progress import Progress
 
 _FRAMES_PER_STEP = 64
@@ -19,16 +17,13 @@ _WARM_UP, _LAST_RATE = 0.03, 0.02  # as in pretraining
 _LONGEST_GRADIENT = 1.0
 
 
-def train_supervised(
-    config: EncoderConfig, rig: EncoderRig, dataset: MultiViewDataset, columns: list[int], steps: int, seed: int
-) -> Encoder:
-    """Train an encoder, on the processor, to have some columns of the true state as linear functions of z.
+def train_supervised(like: Encoder, dataset: MultiViewDataset, columns: list[int], steps: int, seed: int) -> Encoder:
+    """Train a new encoder, on the processor, to have some columns of the true state as linear functions of z.
 
     The loss is the squared error of the columns in units of their deviations, on the dataset's training frames.
 
     Args:
-        config: sizes of the encoder.
-        rig: its cameras.
+        like: an encoder of the same architecture and cameras.
         dataset: with these cameras.
         columns: of the privileged state, each of which varies.
         steps: of 64 frames.
@@ -40,7 +35,7 @@ def train_supervised(
     rng = np.random.default_rng(seed)
     with torch.random.fork_rng():
         torch.manual_seed(seed)
-        encoder, head = Encoder(config, rig), nn.Linear(config.latent, len(columns))
+        encoder, head = like.anew(), nn.Linear(like.latent_size, len(columns))
     parameters = [*encoder.parameters(), *head.parameters()]
     optimiser = torch.optim.Adam(parameters, lr=_LEARNING_RATE, betas=(0.9, 0.99), fused=True)
     schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda step: _rate(step / steps))

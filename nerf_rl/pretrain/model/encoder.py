@@ -3,7 +3,7 @@
 from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float, UInt8
@@ -24,11 +24,23 @@ from nerf_rl.pretrain.model.encoder_file import (
     read_description,
 )
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
+from nerf_rl.pretrain.model.landmarks import READ_MAPS, FoundLandmarks, Landmarks
 from nerf_rl.pretrain.model.precision import in_full_precision
+
+_LAYERS_PER_BLOCK = 3  # a convolution, its normalisation, its non-linearity
+
+
+class Encoding(NamedTuple):
+    """What an encoder makes of B scenes."""
+
+    latent: Float[Tensor, "B Z"]
+    """z"""
+    landmarks: FoundLandmarks | None
+    """what z has of them, if the encoder looks for any"""
 
 
 class Encoder(nn.Module):
-    """z = h(mean_i g(CNN(o_i), K_i)) over views i (SNeRL, section 4.1).
+    """z = h(mean_i g(CNN(o_i), K_i)) over views i (SNeRL, section 4.1), and where landmarks are, as a linear part of z.
 
     There are non-linearities after the camera matrix has joined, so that a view's pose can change how its image is
     read.
@@ -36,6 +48,8 @@ class Encoder(nn.Module):
     Args:
         config: sizes.
         rig: the cameras that it is trained on.
+        landmarks: how many classes it looks for (:class:`~nerf_rl.pretrain.model.landmarks.Landmarks`); none if
+            ``config.landmarks`` is false.
 
     Attributes:
         scene, quality, pixels_per_metre: what is rendered for it, and how.
@@ -46,7 +60,7 @@ class Encoder(nn.Module):
     latent_mean: Tensor
     latent_std: Tensor
 
-    def __init__(self, config: EncoderConfig, rig: EncoderRig):
+    def __init__(self, config: EncoderConfig, rig: EncoderRig, landmarks: int = 0):
         super().__init__()
         self.config, self.rig = config, rig
         self.scene, self.quality = "", "fast"
@@ -61,6 +75,8 @@ class Encoder(nn.Module):
         flat, width = widths[-1] * _cells(rig.height, config) * _cells(rig.width, config), config.hidden
         self.per_view = nn.Sequential(*_hidden(flat + 12, width), *_hidden(width, width))
         self.merged = nn.Sequential(*_hidden(width, width), nn.Linear(width, config.latent))
+        looks = config.landmarks and landmarks > 0
+        self.landmarks = Landmarks(widths, landmarks, config.latent) if looks else None
         self.register_buffer("latent_mean", torch.zeros(config.latent))
         self.register_buffer("latent_std", torch.ones(config.latent))
 
@@ -78,14 +94,29 @@ class Encoder(nn.Module):
             images: RGB.
             projections: P = K [R | t] of each view [pixels, m], in the tracking frame if the rig follows a body.
         """
+        return self.read(images, projections).latent
+
+    def read(self, images: UInt8[Tensor, "B V H W 3"], projections: Float[Tensor, "B V 3 4"]) -> Encoding:
+        """Return z as :meth:`forward` does, with the landmarks that it was made of."""
         batch, views = images.shape[:2]
         pixels = images.flatten(0, 1).permute(0, 3, 1, 2).to(projections.dtype) / 255.0 - 0.5
-        seen = self.convolutions(pixels.contiguous(memory_format=torch.channels_last)).flatten(1)
+        maps = [pixels.contiguous(memory_format=torch.channels_last)]
+        for block in range(0, len(self.convolutions), _LAYERS_PER_BLOCK):
+            maps.append(self.convolutions[block : block + _LAYERS_PER_BLOCK](maps[-1]))
+        seen = maps[-1].flatten(1)
         size = projections.new_tensor([self.rig.width, self.rig.height, 1.0])
-        cameras = (projections / size[:, None]).reshape(batch * views, 12)  # in image widths and heights
-        each = self.per_view(torch.cat([seen, cameras.to(seen.dtype)], dim=-1))
+        cameras = projections / size[:, None]  # in image widths and heights
+        each = self.per_view(torch.cat([seen, cameras.reshape(batch * views, 12).to(seen.dtype)], dim=-1))
+        found = None
+        if self.landmarks is not None:
+            height, width = (self.config.patch * cells for cells in maps[1].shape[-2:])  # of the pixels that are read
+            parts = projections / projections.new_tensor([width, height, 1.0])[:, None]
+            found = self.landmarks(maps[1 : 1 + READ_MAPS], parts)
         with in_full_precision(each.device):
-            return self.merged(each.to(projections.dtype).reshape(batch, views, -1).mean(1))
+            latent = self.merged(each.to(projections.dtype).reshape(batch, views, -1).mean(1))
+            if self.landmarks is not None and found is not None:
+                latent = latent + self.landmarks.latent(found)
+        return Encoding(latent, found)
 
     def encode(self, images: UInt8[Tensor, "B V H W 3"]) -> Float[Tensor, "B Z"]:
         """Return z of what the rig's own cameras saw; the images may be on another device."""
@@ -101,16 +132,25 @@ class Encoder(nn.Module):
         """Return an encoder of the same architecture, rig and place with weights as at the beginning of a training."""
         with torch.random.fork_rng():
             torch.manual_seed(seed)
-            copy = Encoder(self.config, self.rig).to(self.latent_mean.device)
+            copy = self.anew().to(self.latent_mean.device)
         for name in ("scene", "quality", "pixels_per_metre", "renderer", "simulators"):
             setattr(copy, name, getattr(self, name))
         return copy.eval().requires_grad_(False)
+
+    def anew(self) -> "Encoder":
+        """Return an encoder of the same architecture and rig, with new weights, that looks for the same landmarks."""
+        count = 0 if self.landmarks is None else len(self.landmarks.spread)
+        copy = Encoder(self.config, self.rig, count)
+        if self.landmarks is not None and copy.landmarks is not None:
+            copy.landmarks.place(self.landmarks.usual_places, self.landmarks.spread)
+        return copy
 
     def describe(self) -> dict[str, Any]:
         """Return what ``encoder.json`` says of the encoder itself; :meth:`described` reads it."""
         return {
             "format": FORMAT,
             "architecture": asdict(self.config),
+            "landmarks": 0 if self.landmarks is None else len(self.landmarks.spread),
             "rig": self.rig.to_json(),
             "scene": {"name": self.scene, "quality": self.quality, "detail": self.pixels_per_metre},
             "renderer": self.renderer,
@@ -125,7 +165,8 @@ class Encoder(nn.Module):
     @classmethod
     def described(cls, description: dict[str, Any]) -> "Encoder":
         """Return an untrained encoder that is otherwise the one described."""
-        encoder = cls(EncoderConfig(**description["architecture"]), EncoderRig.from_json(description["rig"]))
+        rig, landmarks = EncoderRig.from_json(description["rig"]), description.get("landmarks", 0)
+        encoder = cls(EncoderConfig(**description["architecture"]), rig, landmarks)
         scene, packages = description["scene"], description.get("packages", {})
         encoder.scene, encoder.quality = scene["name"], scene["quality"]
         encoder.pixels_per_metre = scene.get("detail")

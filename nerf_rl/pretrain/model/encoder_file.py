@@ -8,19 +8,20 @@ from nerf_rl.cameras.tracking_frame import TRACKING_FRAME_STRUCTURE
 from nerf_rl.datasets.storage.stored_manifest import LARGEST_IMAGE
 from nerf_rl.errors import MissingFileError
 from nerf_rl.files.json_files import read_json
-from nerf_rl.files.structure import array, listing, mapping, number, one_of, optional, table, text, whole
+from nerf_rl.files.structure import array, flag, listing, mapping, number, one_of, optional, table, text, whole
 from nerf_rl.hub.fetch import resolve
 
 WEIGHTS = "encoder.safetensors"
 DESCRIPTION = "encoder.json"
 CHECKPOINT = Path("checkpoints") / "last.ckpt"
 """in a run's folder"""
-FORMAT = 2
+FORMAT = 3
+_READABLE = (2, FORMAT)  # before 3 no encoder looked for landmarks
 _FIRST_FORMAT = 1  # of descriptions that name none
 SIMULATORS = ("mujoco", "metaworld")
 """packages that decide what a rendered picture shows"""
 
-_MOST_LAYERS = 16
+_MOST_LAYERS, _MOST_LANDMARKS = 16, 255
 _REMEDY = "make one with: nerf-rl pretrain --config pretrain/snerl.yaml --data DATASET --out FOLDER"
 _SIZE = whole(1, 2**20)
 
@@ -28,7 +29,14 @@ _STRUCTURE = mapping(
     {
         "format": whole(),
         "architecture": mapping(
-            {}, {"latent": _SIZE, "patch": _SIZE, "channels": listing(_SIZE, 1, _MOST_LAYERS), "hidden": _SIZE}
+            {},
+            {
+                "latent": _SIZE,
+                "patch": _SIZE,
+                "channels": listing(_SIZE, 1, _MOST_LAYERS),
+                "hidden": _SIZE,
+                "landmarks": flag,
+            },
         ),
         "rig": mapping(
             {
@@ -43,6 +51,7 @@ _STRUCTURE = mapping(
         "scene": mapping({"name": text(), "quality": one_of("fast", "full")}, {"detail": optional(number(0.0))}),
     },
     {
+        "landmarks": whole(0, _MOST_LANDMARKS),
         "classes": listing(text(), 1),
         "palette": array(-1, 3, of=whole(0, 255)),
         "packages": table(text()),
@@ -92,8 +101,8 @@ def is_checkpoint(path: Path | str) -> bool:
 def _checked(path: Path, file: str, description: Any) -> dict[str, Any]:
     """Return a description after a look at its format, which decides on the rest, and at its structure."""
     found = description.get("format", _FIRST_FORMAT) if isinstance(description, dict) else FORMAT
-    if found != FORMAT or isinstance(found, bool):
-        reason = f"the format in {file} is {found!r}, this version reads {FORMAT}"
+    if found not in _READABLE or isinstance(found, bool):
+        reason = f"the format in {file} is {found!r}, this version reads {' and '.join(map(str, _READABLE))}"
         raise MissingFileError(
             "an encoder for this version", path, reason, "train it again, or use the version of then"
         )

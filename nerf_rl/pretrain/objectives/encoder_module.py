@@ -13,6 +13,7 @@ from torch import Tensor
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import PretrainConfig
+from nerf_rl.pretrain.data.anchors import Anchors
 from nerf_rl.pretrain.execution.distributed import mean_over_processes, of_first_process
 from nerf_rl.pretrain.execution.faults import NotFiniteError
 from nerf_rl.pretrain.measures.latent_statistics import FRAMES, FRAMES_IN_TRAINING, measure_latents
@@ -35,13 +36,16 @@ class EncoderModule(lightning.LightningModule):
     Args:
         config: of the run.
         dataset: that it is trained on.
+        anchors: the classes that move, which the encoder looks for.
         rig: the encoder's cameras.
     """
 
-    def __init__(self, config: PretrainConfig, dataset: MultiViewDataset, rig: EncoderRig):
+    def __init__(self, config: PretrainConfig, dataset: MultiViewDataset, anchors: Anchors, rig: EncoderRig):
         super().__init__()
         self.config, self._dataset = config, dataset
-        self.encoder = Encoder(config.encoder, rig)
+        self.encoder = Encoder(config.encoder, rig, len(anchors.classes))
+        if self.encoder.landmarks is not None:
+            self.encoder.landmarks.place(torch.from_numpy(anchors.mean), torch.from_numpy(anchors.spread))
         self.encoder.scene = dataset.manifest["scene"]["name"]
         self.encoder.quality = dataset.manifest["config"].get("quality", IMPORTED_QUALITY)
         self.encoder.pixels_per_metre = dataset.manifest.get("detail")

@@ -11,6 +11,8 @@ from nerf_rl.pretrain.config import LossConfig
 from nerf_rl.pretrain.data.batches import RayBatch
 from nerf_rl.pretrain.model.ray_rendering import RenderedRays
 
+SEGMENTATION = "segmentation"
+"""the loss by which an encoder finds landmarks"""
 _BETA = 0.1  # of the anchors' Huber loss: errors above a tenth of the spread count by their size, not its square
 
 
@@ -24,6 +26,7 @@ def losses(
     ``sum_i w_i |t_i - depth|``, which bounds the error of the expected depth from above and is only zero if all weight
     lies on the surface. ``anchor``: Huber loss between the frames that follow classes and the visible middles of those,
     in units of how far each class moves, so that what moves little counts as much; what is hidden counts as right.
+    ``segmentation`` is of the encoder's pictures, not of rays (:func:`segmentation_loss`).
 
     Args:
         rendered: rays of the batch.
@@ -53,6 +56,16 @@ def anchor_loss(errors: Float[Tensor, "B A 3"], seen: Bool[Tensor, "B A"]) -> Te
     """
     each = F.smooth_l1_loss(errors, torch.zeros_like(errors), reduction="none", beta=_BETA)
     return (each.sum(-1) * seen).mean()
+
+
+def segmentation_loss(logits: Float[Tensor, "BV C h w"], shares: Float[Tensor, "B V C h w"]) -> Tensor:
+    """Return the cross-entropy of what the cells of pictures show.
+
+    Args:
+        logits: of each cell.
+        shares: of each cell, that show each class, with the classes' weights.
+    """
+    return -(shares.flatten(0, 1) * logits.log_softmax(1)).sum(1).mean()
 
 
 def weighted_sum(named: dict[str, Tensor], weights: LossConfig) -> Tensor:

@@ -9,6 +9,7 @@ from nerf_rl.pretrain.data.statistics import Statistics
 from nerf_rl.pretrain.data.view_batches import ViewBatch, standardised_state
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 from nerf_rl.pretrain.objectives.encoder_module import EncoderModule
+from nerf_rl.pretrain.objectives.losses import SEGMENTATION
 from nerf_rl.pretrain.objectives.picture_objectives import OBJECTIVES
 
 
@@ -26,16 +27,18 @@ class PictureModule(EncoderModule):
     """
 
     def __init__(self, config: PretrainConfig, dataset: MultiViewDataset, statistics: Statistics, rig: EncoderRig):
-        super().__init__(config, dataset, rig)
+        super().__init__(config, dataset, statistics.anchors, rig)
         columns, *_ = standardised_state(dataset)
         classes = len(statistics.anchors.classes)
         if config.objective == ANCHORS and not classes:
             raise UserError(f"{dataset.folder} shows no class that moves, which --objective {ANCHORS} learns from")
+        self._weights = {SEGMENTATION: config.losses.segmentation}  # the others are what an objective is
         self.objective = OBJECTIVES[config.objective](self.encoder, len(columns), classes)
 
     def training_step(self, batch: ViewBatch, step: int) -> Tensor:
         """Return the loss of a step, of this process's share of its scenes; log every loss by its name, of all."""
         named = self.objective(self.encoder, batch, self.step_generator())
-        total = sum(named.values(), start=batch.depth.new_zeros(()))
+        weighted = (self._weights.get(name, 1.0) * value for name, value in named.items())
+        total = sum(weighted, start=batch.depth.new_zeros(()))
         self.log_losses(named, total)
         return total

@@ -14,7 +14,7 @@ from nerf_rl.pretrain.config import ANCHORS
 from nerf_rl.pretrain.data.view_batches import ViewBatch
 from nerf_rl.pretrain.model.encoder import Encoder
 from nerf_rl.pretrain.model.precision import in_full_precision
-from nerf_rl.pretrain.objectives.losses import anchor_loss
+from nerf_rl.pretrain.objectives.losses import SEGMENTATION, anchor_loss, segmentation_loss
 
 _MOST_SHIFT = 1 / 16  # of an image's size, as CURL's 4 pixels of 64
 _KEY_MOMENTUM = 0.99
@@ -146,11 +146,14 @@ class AnchorRegression(Objective):
         self.head = nn.Linear(encoder.latent_size, 3 * classes)
 
     def forward(self, encoder: Encoder, batch: ViewBatch, generator: torch.Generator) -> dict[str, Tensor]:
-        """Return the error of the places."""
-        latent = encoder(batch.images, batch.projections)
+        """Return the error of the places, and of the encoder's own segmentation."""
+        latent, landmarks = encoder.read(batch.images, batch.projections)
         with in_full_precision(latent.device):
             places = self.head(latent).reshape(batch.middles.shape)
-            return {"anchor": anchor_loss(places - batch.middles, batch.seen)}
+            named = {"anchor": anchor_loss(places - batch.middles, batch.seen)}
+        if landmarks is not None:
+            named[SEGMENTATION] = segmentation_loss(landmarks.logits, batch.shares)
+        return named
 
 
 class PictureDecoder(nn.Module):

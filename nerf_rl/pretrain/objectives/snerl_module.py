@@ -22,7 +22,7 @@ from nerf_rl.pretrain.model.field import RadianceField
 from nerf_rl.pretrain.model.precision import in_full_precision
 from nerf_rl.pretrain.model.ray_rendering import RenderedImages, SampleNoise, render_depth_guided, render_images
 from nerf_rl.pretrain.objectives.encoder_module import EncoderModule
-from nerf_rl.pretrain.objectives.losses import losses, weighted_sum
+from nerf_rl.pretrain.objectives.losses import SEGMENTATION, losses, segmentation_loss, weighted_sum
 from nerf_rl.pretrain.stopping import parse_goal
 
 _PLANE_RATE = 10.0  # of static feature planes, times the learning rate: few rays reach any one cell
@@ -46,7 +46,7 @@ class SnerlModule(EncoderModule):
     anchor_spread: Tensor
 
     def __init__(self, config: PretrainConfig, dataset: MultiViewDataset, statistics: Statistics, rig: EncoderRig):
-        super().__init__(config, dataset, rig)
+        super().__init__(config, dataset, statistics.anchors, rig)
         teacher_width = sum(find_teacher(name).width for name in config.teachers)
         classes = len(dataset.class_names)
         anchors = statistics.anchors
@@ -86,13 +86,15 @@ class SnerlModule(EncoderModule):
 
     def _losses(self, batch: RayBatch, noise: SampleNoise) -> tuple[dict[str, Tensor], Tensor]:
         """Return the losses of some scenes by name, and their weighted sum."""
-        latent = self.encoder(batch.images, batch.projections)
+        latent, landmarks = self.encoder.read(batch.images, batch.projections)
         rendered = render_depth_guided(
             self.field, latent, batch.origins, batch.directions, batch.depth, self.config.sampling, noise
         )
         with in_full_precision(self.device):
             origins = self.field.origins(latent)[:, : len(self.anchor_spread)]
         named = losses(rendered, batch, origins, self.anchor_spread)
+        if landmarks is not None:
+            named[SEGMENTATION] = segmentation_loss(landmarks.logits, batch.shares)
         for kind in self._dataset.absent:
             named.pop(_LOSSES_OF.get(kind, ""), None)
         return named, weighted_sum(named, self.config.losses)

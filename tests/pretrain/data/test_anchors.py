@@ -67,9 +67,10 @@ def test_classes_that_stay_or_are_hardly_ever_seen_are_not_followed():
     seen[::2, 4] = False
     seen[:, 0] = False
     place[~seen] = 0.0
-    anchors = choose_anchors(Middles(place, seen))
+    anchors = choose_anchors(Middles(place, seen), np.array([0.6, 0.1, 0.2, 0.06, 0.04]))
     assert anchors.classes == (2, 4)
     np.testing.assert_allclose(anchors.mean, [[0, 0, 0], [0.5, 0.5, 0.0]], atol=0.02)
+    assert anchors.share.tolist() == [0.2, 0.04]
     np.testing.assert_allclose(anchors.spread, [0.05 * 3**0.5, 0.02 * 3**0.5], rtol=0.15)
 
 
@@ -117,7 +118,7 @@ def test_middles_that_are_kept_are_those_of_their_frames_however_they_were_drawn
     dataset = MultiViewDataset(tiny_dataset)
     classes = len(dataset.class_names)
     followed = (1, classes - 1)
-    kept = FollowedMiddles(dataset, Anchors(followed, np.zeros((2, 3)), np.ones(2)))
+    kept = FollowedMiddles(dataset, Anchors(followed, np.zeros((2, 3)), np.ones(2), np.full(2, 0.1)))
     for drawn in ([4, 1, 4], [1, 0, 5], [5, 4, 2]):
         frames = np.array(drawn)
         intrinsics, poses = dataset.cameras(frames)

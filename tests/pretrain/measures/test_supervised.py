@@ -27,17 +27,16 @@ def left_over(encoder: Encoder, dataset: MultiViewDataset) -> float:
 
 def test_its_latents_know_the_columns_that_it_was_trained_on(tiny_dataset: Path):
     dataset = MultiViewDataset(tiny_dataset)
-    rig = EncoderRig.of_dataset(dataset)
     torch.manual_seed(0)
-    untrained = Encoder(CONFIG, rig).eval().requires_grad_(False)
-    trained = train_supervised(CONFIG, rig, dataset, [0, 1, 2], 400, seed=0)
+    untrained = Encoder(CONFIG, EncoderRig.of_dataset(dataset), landmarks=2).eval().requires_grad_(False)
+    trained = train_supervised(untrained, dataset, [0, 1, 2], 400, seed=0)
     assert left_over(trained, dataset) < 0.3 * left_over(untrained, dataset)
     assert not any(parameter.requires_grad for parameter in trained.parameters())
 
 
 def test_a_seed_decides_it(tiny_dataset: Path):
     dataset = MultiViewDataset(tiny_dataset)
-    rig = EncoderRig.of_dataset(dataset)
-    first, again, other = (train_supervised(CONFIG, rig, dataset, [0, 1], 2, seed).state_dict() for seed in (1, 1, 2))
+    like = Encoder(CONFIG, EncoderRig.of_dataset(dataset))
+    first, again, other = (train_supervised(like, dataset, [0, 1], 2, seed).state_dict() for seed in (1, 1, 2))
     assert all(torch.equal(first[name], again[name]) for name in first)
     assert not all(torch.equal(first[name], other[name]) for name in first)

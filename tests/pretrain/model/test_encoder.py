@@ -163,7 +163,7 @@ def test_an_exported_encoder_is_all_that_is_needed(tiny_encoder: Path, tmp_path:
 @torch.no_grad()
 def test_images_of_any_size_are_encoded(size: int, patch: int, channels: list[int]):
     rig = make_rig(size=size)
-    encoder = Encoder(EncoderConfig(latent=6, patch=patch, channels=channels, hidden=16), rig)
+    encoder = Encoder(EncoderConfig(latent=6, patch=patch, channels=channels, hidden=16), rig, landmarks=2)
     images = torch.zeros(2, 3, size, size, 3, dtype=torch.uint8)
     assert encoder.encode(images).shape == (2, 6)
 

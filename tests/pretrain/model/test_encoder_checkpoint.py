@@ -140,14 +140,16 @@ def test_a_changed_byte_of_a_weight_is_found(run: Path):
         Encoder.load(run / LAST)
 
 
-@pytest.mark.parametrize("name, load", [("encoder", Encoder.load), ("field", RadianceField.load)])
-def test_an_unknown_format_is_told(run: Path, name: str, load: Any):
+@pytest.mark.parametrize(
+    "name, load, format, readable", [("encoder", Encoder.load, 3, "2 and 3"), ("field", RadianceField.load, 2, "2")]
+)
+def test_an_unknown_format_is_told(run: Path, name: str, load: Any, format: int, readable: str):
     path = run / f"{name}.json"
     description = json.loads(path.read_text())
-    assert description["format"] == 2
-    for unknown in (1, 3, "2", None, True):
+    assert description["format"] == format
+    for unknown in (1, format + 1, "2", None, True):
         path.write_text(json.dumps(description | {"format": unknown, "new": "key"}))
-        with pytest.raises(MissingFileError, match=rf"format.* is {unknown!r}, this version reads 2"):
+        with pytest.raises(MissingFileError, match=rf"format.* is {unknown!r}, this version reads {readable};"):
             load(run)
 
 
@@ -167,6 +169,7 @@ def test_a_description_of_old_without_a_format_is_told_apart(run: Path, name: st
         (("architecture", "hidden"), 10**9, "architecture.hidden is 1000000000 instead of a whole number"),
         (("architecture", "hidden"), 10**6, "its description makes no network (--encoder.hidden must be at most"),
         (("architecture", "hidden"), 10**4, "per_view.0.weight has the shape"),
+        (("architecture", "landmarks"), 1, "architecture.landmarks is 1 instead of"),
         (("architecture", "wings"), 2, "architecture.wings is 2 instead of nothing: known are latent"),
         (("architecture", "patch"), 100, "its description makes no network"),
         (("rig", "height"), "24", "rig.height is '24' instead of a whole number"),

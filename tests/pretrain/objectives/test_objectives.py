@@ -40,8 +40,13 @@ def batch(tiny_dataset: Path) -> ViewBatch:
 @pytest.fixture
 def encoder(tiny_dataset: Path) -> Encoder:
     torch.manual_seed(0)
-    rig = EncoderRig.of_dataset(MultiViewDataset(tiny_dataset))
-    return Encoder(EncoderConfig(latent=8, channels=[8, 16], hidden=16), rig)
+    dataset = MultiViewDataset(tiny_dataset)
+    anchors = measure(dataset, PretrainConfig("data", "out")).anchors
+    rig = EncoderRig.of_dataset(dataset)
+    encoder = Encoder(EncoderConfig(latent=8, channels=[8, 16], hidden=16), rig, len(anchors.classes))
+    assert encoder.landmarks is not None
+    encoder.landmarks.place(torch.from_numpy(anchors.mean), torch.from_numpy(anchors.spread))
+    return encoder
 
 
 def pretrain(data: Path, out: Path, *arguments: str) -> int:
@@ -159,7 +164,7 @@ def test_places_of_classes_are_those_that_the_field_would_be_pulled_to(tiny_data
 def test_places_of_classes_need_one_that_moves(tiny_dataset: Path):
     dataset = MultiViewDataset(tiny_dataset)
     config = PretrainConfig("data", "out", objective="anchors")
-    still = measure(dataset, config)._replace(anchors=Anchors((), np.zeros((0, 3)), np.zeros(0)))
+    still = measure(dataset, config)._replace(anchors=Anchors((), np.zeros((0, 3)), np.zeros(0), np.zeros(0)))
     with pytest.raises(UserError, match="shows no class that moves, which --objective anchors learns from"):
         PictureModule(config, dataset, still, EncoderRig.of_dataset(dataset))
 
