@@ -24,7 +24,7 @@ from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.pretrain.measures.linear_probe import encode_frames, linear_probe
 from nerf_rl.pretrain.measures.probe_targets import LEAST_DEVIATION, column_targets
 from nerf_rl.pretrain.model.encoder import Encoder
-from tools.compare.precision import ENDLESS
+from tools.compare.pairs import ENDLESS
 from tools.compare.tasks import DATASET_RECIPE, RECIPE, command, made_by
 from tools.readme_tables import markdown_table, replace_tables
 

@@ -15,7 +15,7 @@ from nerf_rl.pretrain.model.encoder import Encoder
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 from nerf_rl.pretrain.model.field import FieldBounds, RadianceField
 from nerf_rl.pretrain.model.ray_rendering import SampleNoise, render_depth_guided, render_without_depth
-from nerf_rl.pretrain.objectives.losses import losses, weighted_sum
+from nerf_rl.pretrain.objectives.losses import SEGMENTATION, losses, segmentation_loss, weighted_sum
 
 SCENES, RAYS, VIEWS, SIZE, CLASSES = 2, 5, 2, 16, 3
 SAMPLING = SamplingConfig(rendering_stratified=6, rendering_importance=4)
@@ -33,7 +33,7 @@ def make_encoder() -> Encoder:
     pose = np.stack([look_at(np.zeros(3), 1.0, azimuth, -30.0) for azimuth in (20.0, 160.0)])
     intrinsics = np.stack([intrinsics_from_fovy(45.0, SIZE, SIZE)] * VIEWS)
     rig = EncoderRig(("left", "right"), intrinsics, pose, SIZE, SIZE)
-    return Encoder(EncoderConfig(latent=8, channels=[8, 16], hidden=16), rig)
+    return Encoder(EncoderConfig(latent=8, channels=[8, 16], hidden=16), rig, landmarks=1)
 
 
 def make_field(free_frames: int = 2, anchors: int = 1) -> RadianceField:
@@ -53,6 +53,7 @@ def make_batch() -> RayBatch:
         torch.rand(SCENES, RAYS, 4),
         torch.rand(SCENES, 1, 3),
         torch.ones(SCENES, 1, dtype=torch.bool),
+        torch.rand(SCENES, VIEWS, 2, SIZE // 4, SIZE // 4),
     )
 
 
@@ -64,9 +65,11 @@ def test_a_training_step_stays_on_the_gpu():
     field.set_coarse_to_fine(0.5)
     shape = (SCENES, RAYS)
     noise = SampleNoise(torch.rand(*shape, 4), torch.rand(*shape, 3), torch.randn(*shape, 3))
-    latent = encoder(batch.images, batch.projections)
+    latent, landmarks = encoder.read(batch.images, batch.projections)
+    assert landmarks is not None
     rendered = render_depth_guided(field, latent, batch.origins, batch.directions, batch.depth, SAMPLING, noise)
     named = losses(rendered, batch, field.origins(latent)[:, :1], torch.rand(1))
+    named[SEGMENTATION] = segmentation_loss(landmarks.logits, batch.shares)
     values = [*named.values(), weighted_sum(named, LossConfig()), rendered.depth, *rendered.values.values()]
     assert {value.device for value in values} == {CUDA}
     for parameter in parameters:  # going backwards takes a real GPU

@@ -34,6 +34,7 @@ def random_case(feature: bool = True) -> tuple[RenderedRays, RayBatch, torch.Ten
         random(B, R, F),
         random(B, A, 3),
         torch.tensor([[True, False], [True, True]]),
+        torch.zeros((B, 1, A + 1, 1, 1)),
     )
     return rendered, batch, random(B, A, 3), torch.tensor([0.5, 0.02])
 

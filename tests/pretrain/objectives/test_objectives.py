@@ -158,7 +158,9 @@ def test_places_of_classes_are_those_that_the_field_would_be_pulled_to(tiny_data
     mean, spread = (torch.from_numpy(value).float() for value in (statistics.anchors.mean, statistics.anchors.spread))
     assert views.seen.any() and torch.equal(views.seen, rays.seen)
     torch.testing.assert_close((views.middles * spread[:, None] + mean)[views.seen], rays.middles[views.seen])
-    assert ViewBatches(dataset, replace(config, objective="depth"), statistics)[3].middles.shape == (6, 0, 3)
+    assert torch.equal(views.shares, rays.shares) and views.shares.shape[2] == 1 + len(spread)
+    others = ViewBatches(dataset, replace(config, objective="depth"), statistics)[3]
+    assert others.middles.shape == (6, 0, 3) and others.shares.numel() == 0
 
 
 def test_places_of_classes_need_one_that_moves(tiny_dataset: Path):
