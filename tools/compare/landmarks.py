@@ -17,6 +17,7 @@ from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.versions import git_revision, package_versions
 from tools.compare.pairs import RECIPE, train_pair
 from tools.compare.precision import processor
+from tools.compare.tasks import things
 from tools.readme_tables import markdown_table, replace_tables
 
 RESULT, README = Path("pretrain/results/landmarks.json"), Path("pretrain/README.md")
@@ -51,15 +52,12 @@ def table(rows: list[dict[str, Any]]) -> str:
     lines = []
     for row in rows:
         figures = row["validation"]
-        classes = ", ".join(
-            f"{name} {iou:.2f}" for name, iou in row["class_iou"].items() if iou is not None and name != "background"
-        )
         columns = ", ".join(
             f"{name} {figure['rmse_mm']:.1f}" for name, figure in row["probe"].items() if not name.startswith("goal")
         )
         task = row["scene"].removeprefix("metaworld/").removesuffix("-v3")
         quality = f"{figures['psnr_db']:.1f}", f"{100 * figures['depth_mae_m']:.1f}"
-        lines.append([task, row["seed"], row["arm"], f"{row['steps']:,}", *quality, classes, columns])
+        lines.append([task, row["seed"], row["arm"], f"{row['steps']:,}", *quality, things(row), columns])
     return markdown_table(header, lines)
 
 

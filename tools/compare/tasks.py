@@ -88,9 +88,6 @@ def table(rows: list[dict[str, Any]]) -> str:
     lines = []
     for row in rows:
         figures = row["validation"]
-        classes = ", ".join(
-            f"{name} {iou:.2f}" for name, iou in row["class_iou"].items() if iou is not None and name != "background"
-        )
         columns = ", ".join(
             f"{name} {figure['rmse_mm']:.1f} ({row['probe_random_encoder'][name]['rmse_mm']:.0f}, "
             f"{row['probe_supervised_encoder'][name]['rmse_mm']:.1f})"
@@ -98,9 +95,15 @@ def table(rows: list[dict[str, Any]]) -> str:
         )
         depth = f"{100 * figures['depth_mae_m']:.1f}"
         lines.append(
-            [row["task"], row["seed"], f"{row['steps']:,}", f"{figures['psnr_db']:.1f}", depth, classes, columns]
+            [row["task"], row["seed"], f"{row['steps']:,}", f"{figures['psnr_db']:.1f}", depth, things(row), columns]
         )
     return markdown_table(header, lines)
+
+
+def things(row: dict[str, Any]) -> str:
+    """Return the IoU of a run's classes but the background."""
+    classes = row["class_iou"].items()
+    return ", ".join(f"{name} {iou:.2f}" for name, iou in classes if iou is not None and name != "background")
 
 
 if __name__ == "__main__":

@@ -45,7 +45,7 @@ class RayBatch(NamedTuple):
     seen: Bool[Tensor, "B A"]
     """whether they do"""
     shares: Float[Tensor, "B V C h w"]
-    """how much of each cell of the encoder's pictures shows what: something else, or one of those classes"""
+    """how much of each cell of the encoder's pictures shows what: something else, or one of those classes; weighted"""
 
 
 class RayBatches(Dataset):

@@ -36,7 +36,7 @@ class ViewBatch(NamedTuple):
     seen: Bool[Tensor, "B A"]
     """whether they do"""
     shares: Float[Tensor, "B V C h w"]
-    """how much of each cell of a picture shows what: something else, or one of those classes; h is 0 like A"""
+    """how much of each cell shows what: something else, or one of those classes; weighted; h is 0 like A"""
 
 
 class ViewBatches(Dataset):
