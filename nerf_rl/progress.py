@@ -1,5 +1,6 @@
 """Progress of long work: a bar on a terminal, plain lines otherwise."""
 
+import math
 import sys
 import time
 from collections.abc import Callable
@@ -26,10 +27,14 @@ class Progress:
             tqdm(total=total, initial=done, unit=f" {unit}", dynamic_ncols=True) if sys.stderr.isatty() else None
         )
 
-    def advance(self, units: int = 1, note: Callable[[], str] = str) -> None:
-        """Count ``units`` more; where that is shown, what ``note`` returns stands beside it.
+    def advance(self, units: int = 1, note: Callable[[], str] = str, most_seconds: float = math.inf) -> None:
+        """Count ``units`` more.
 
-        It is called only then: what it says may cost more to find out than a unit of work.
+        Args:
+            units: that are done.
+            note: returns what stands beside them where they are shown, and is called only then: what it says may cost
+                more to find out than a unit of work.
+            most_seconds: after which the work ends, however many units are done then.
         """
         self._done += units
         if self._bar is not None:
@@ -40,7 +45,7 @@ class Progress:
         if now - self._last_line >= self._pause or self._done >= self._total:
             self._last_line = now
             rate = (self._done - self._initial) / max(now - self._start, 1e-9)
-            remaining = (self._total - self._done) / rate if rate > 0 else float("inf")
+            remaining = min((self._total - self._done) / rate if rate > 0 else math.inf, most_seconds)
             line = f"{self._done}/{self._total} {self._unit}, {rate:.1f}/s, {remaining:.0f} s left"
             print(f"{line}  {note()}".rstrip(), flush=True)
 

@@ -204,7 +204,7 @@ class _ProgressLines(Callback):
 
     def on_train_batch_end(self, trainer: lightning.Trainer, module: lightning.LightningModule, *_: Any) -> None:
         if trainer.is_global_zero and isinstance(module, EncoderModule):
-            self._progress.advance(note=module.describe_step)
+            self._progress.advance(note=module.describe_step, most_seconds=module.seconds_left())
 
     def on_validation_start(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         frames = len(trainer.val_dataloaders) if trainer.val_dataloaders is not None else 0

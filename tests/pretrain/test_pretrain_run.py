@@ -281,9 +281,9 @@ def test_a_budget_of_time_ends_the_schedule_before_the_steps_do(
     monkeypatch.setattr(SnerlModule, "global_step", 250)
     assert module.progress() == 0.25
     module.seconds = 90.0
-    assert module.progress() == 0.75
+    assert (module.progress(), module.seconds_left()) == (0.75, 30.0)
     module.seconds = 500.0
-    assert module.progress() == 1.0
+    assert (module.progress(), module.seconds_left()) == (1.0, 0.0)
     assert module.learning_rate_factor() == pytest.approx(0.02)
 
 

@@ -91,6 +91,10 @@ class EncoderModule(lightning.LightningModule):
             done = max(done, spent if spent > _START else 0.0)
         return min(done, 1.0)
 
+    def seconds_left(self) -> float:
+        """Return for how long the run may go on training at most [s]."""
+        return math.inf if self.config.max_minutes is None else max(60.0 * self.config.max_minutes - self.seconds, 0.0)
+
     def learning_rate_factor(self) -> float:
         """Return the learning rate as a share of its peak: a linear rise, then a cosine."""
         done = self.progress()
