@@ -196,6 +196,19 @@ def test_every_task_has_named_columns_and_a_scripted_policy(task: str):
     scene.env.close()
 
 
+@pytest.mark.parametrize("task", ["door-open-v3", "door-close-v3", "bin-picking-v3", "button-press-v3", "soccer-v3"])
+def test_a_scripted_policy_leaves_what_it_reads_as_it_is(task: str):
+    scene = make_scene(f"metaworld/{task}")
+    observation, _ = scene.env.reset(seed=0)
+    policy = scene.scripted_policy()
+    assert policy is not None
+    for _ in range(40):
+        before = observation.copy()
+        action = policy(observation)
+        np.testing.assert_array_equal(observation, before)
+        observation, *_ = scene.env.step(action.astype(np.float32))
+
+
 def test_an_unknown_task_is_answered_with_close_ones():
     with pytest.raises(UserError, match=r"unknown Meta-World task 'drawer-opne-v3' \(did you mean drawer-open-v3"):
         make_scene("metaworld/drawer-opne-v3")
