@@ -151,7 +151,8 @@ class MetaWorldScene(Scene):
         def act(observation: ndarray) -> ndarray:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # it warns of actions beyond [-1, 1], which are clipped here
-                return np.clip(policy.get_action(observation.copy()), -1.0, 1.0)  # door-open's writes into what it reads
+                action = policy.get_action(observation.copy())  # door-open's writes into what it reads
+                return np.clip(action, -1.0, 1.0)
 
         return act
 
