@@ -34,6 +34,9 @@ class BehaviourConfig:
     longest_hold: Annotated[int, Limits(least=3, most=10**6)] = 14
     """most steps for which an action is held in random episodes; the longer, the more often it leads to the ends of
     where the robot can go, to which an agent that explores comes as well"""
+    scattered: Annotated[float, Limits(least=0, most=1)] = 0.0
+    """share of episodes in which things begin elsewhere than the reset puts them: joints that the robot does not move
+    anywhere in their range, free bodies anywhere in the workspace"""
 
     def __post_init__(self) -> None:
         check_values(self, "behaviour.")

@@ -14,6 +14,7 @@ from nerf_rl.datasets.config import BehaviourConfig
 from nerf_rl.datasets.generation.stored_states import StoredStates, open_states, restore_state
 from nerf_rl.errors import UserError
 from nerf_rl.scenes.base import Policy, Scene, success_in
+from nerf_rl.scenes.scattering import Scattering
 
 _SHORTEST_HOLD = 3  # steps for which a random action is held, so that it leads somewhere
 _LONGEST_DETOUR = 14  # steps; what comes after it in a noisy episode must still have time to succeed
@@ -59,6 +60,7 @@ class Behaviour:
         if weights.sum() == 0:
             raise UserError(f"{scene.name} has no scripted policy; raise behaviour.random above 0")
         self._shares = weights / weights.sum()
+        self._scattering = Scattering(scene) if config.scattered else None
         self._states: StoredStates | None = None
         if config.replay:
             self._states = open_states(Path(config.states), scene)
@@ -87,7 +89,7 @@ class Behaviour:
         env, space = self._scene.env, self._scene.env.action_space
         assert isinstance(space, gymnasium.spaces.Box)
         low, high = np.clip(space.low, -_UNLIMITED, _UNLIMITED), np.clip(space.high, -_UNLIMITED, _UNLIMITED)
-        observation, _ = env.reset(seed=int(rng.integers(2**31)))
+        observation = self._reset(rng)
         reward, success, since_reset = 0.0, False, 0
         held, held_until = np.zeros(space.shape), 0
         longest = self._config.longest_hold if policy is None else _LONGEST_DETOUR
@@ -109,9 +111,17 @@ class Behaviour:
             reward, since_reset = float(step_reward), since_reset + 1
             success = success or bool(success_in(info))
             if terminated or truncated:
-                observation, _ = env.reset(seed=int(rng.integers(2**31)))
+                observation = self._reset(rng)
                 reward, success, since_reset = 0.0, False, 0
                 policy, held_until = self._scene.scripted_policy() if policy is not None else None, 0
+
+    def _reset(self, rng: np.random.Generator) -> Any:
+        """Begin an episode; return the first observation."""
+        observation, _ = self._scene.env.reset(seed=int(rng.integers(2**31)))
+        if self._scattering is not None and rng.random() < self._config.scattered:
+            self._scattering.scatter(rng)
+            observation = self._scene.observation()
+        return observation
 
     def _replay(self, episode: int, rng: np.random.Generator) -> Iterator[EpisodeStep]:
         assert self._states is not None

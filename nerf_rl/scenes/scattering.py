@@ -1,0 +1,94 @@
+"""Things that begin elsewhere than a reset puts them: anywhere that they can be."""
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from nerf_rl.scenes.base import Scene
+from nerf_rl.scenes.body_parts import chain
+
+_TRIES = 20
+_DEEPEST = 2e-3  # into anything else, that a place is free [m]; what lies on a table is in it by less
+_REACH = 0.8  # of the workspace's radius, for free bodies, so that they are in all pictures and seldom fall off a table
+_HIGHEST = 0.5  # of the workspace's radius, above where they lie, for those that are turned anyhow
+_FULL_TURN = np.pi
+
+
+class Scattering:
+    """Puts things elsewhere: joints that the robot does not move anywhere in their range, free bodies in the workspace.
+
+    A reset puts a ball here and a closed door there, and what a few episodes of a hundred do to them is all that is
+    ever seen of other places. A free body lies as it does after a reset, turned around the vertical, or, as often, is
+    turned anyhow and falls from a little above.
+
+    Args:
+        scene: whose things they are; it may be reset.
+    """
+
+    def __init__(self, scene: Scene):
+        self._scene, model = scene, scene.model
+        robot = set(scene.parts.robot)
+        self._joints = [j for j in range(model.njnt) if int(model.body_rootid[model.jnt_bodyid[j]]) not in robot]
+        movers = {int(model.jnt_bodyid[joint]) for joint in self._joints}
+        moved = [bool(movers & set(chain(model, body))) for body in range(model.nbody)]
+        self._is_thing = np.array([moved[body] for body in model.geom_bodyid], bool)
+        self._workspace = scene.workspace()
+
+    def scatter(self, rng: np.random.Generator) -> None:
+        """Put the things of the scene's present state elsewhere; leave them where every place that was tried is taken.
+
+        Their velocities stay, which are next to nothing after a reset.
+        """
+        scene, data = self._scene, self._scene.data
+        if not self._joints:
+            return
+        qpos, qvel = data.qpos.copy(), data.qvel.copy()
+        for _ in range(_TRIES):
+            drawn = self._drawn(qpos, rng)
+            scene.set_state(drawn, qvel)
+            if self._is_free():
+                return
+        scene.set_state(qpos, qvel)
+
+    def _drawn(self, qpos: Float[ndarray, "nq"], rng: np.random.Generator) -> Float[ndarray, "nq"]:
+        """Return positions in which those of the things are drawn anew."""
+        model, drawn = self._scene.model, qpos.copy()
+        for joint in self._joints:
+            kind, place = model.jnt_type[joint], int(model.jnt_qposadr[joint])
+            if kind == mujoco.mjtJoint.mjJNT_FREE:
+                drawn[place : place + 7] = self._anywhere(qpos[place : place + 7], rng)
+            elif kind == mujoco.mjtJoint.mjJNT_BALL:
+                drawn[place : place + 4] = _turned_anyhow(rng)
+            elif model.jnt_limited[joint]:
+                drawn[place] = rng.uniform(*model.jnt_range[joint])
+            elif kind == mujoco.mjtJoint.mjJNT_HINGE:
+                drawn[place] = rng.uniform(-_FULL_TURN, _FULL_TURN)
+        return drawn
+
+    def _anywhere(self, pose: Float[ndarray, "7"], rng: np.random.Generator) -> Float[ndarray, "7"]:
+        """Return a place in the workspace and an orientation of a free body."""
+        radius = self._workspace.radius
+        angle, distance = rng.uniform(-np.pi, np.pi), _REACH * radius * np.sqrt(rng.random())
+        x, y, _ = self._workspace.centre_in(self._scene.render_data())
+        drawn = pose.copy()
+        drawn[:2] = x + distance * np.cos(angle), y + distance * np.sin(angle)
+        if rng.random() < 0.5:
+            half = rng.uniform(-np.pi, np.pi) / 2.0
+            mujoco.mju_mulQuat(drawn[3:], np.array([np.cos(half), 0.0, 0.0, np.sin(half)]), pose[3:])
+        else:
+            drawn[2] += rng.uniform(0.0, _HIGHEST * radius)
+            drawn[3:] = _turned_anyhow(rng)
+        return drawn
+
+    def _is_free(self) -> bool:
+        """Tell whether no thing is inside anything else."""
+        contacts = self._scene.data.contact
+        touching = self._is_thing[contacts.geom].any(axis=1) if len(contacts.geom) else np.zeros(0, bool)
+        return bool((contacts.dist[touching] > -_DEEPEST).all())
+
+
+def _turned_anyhow(rng: np.random.Generator) -> Float[ndarray, "4"]:
+    """Return a quaternion, uniform over all orientations."""
+    quaternion = rng.standard_normal(4)
+    return quaternion / np.linalg.norm(quaternion)
