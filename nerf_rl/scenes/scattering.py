@@ -10,13 +10,13 @@ from nerf_rl.scenes.body_parts import chain
 
 _TRIES = 20
 _DEEPEST = 2e-3  # into anything else, that a place is free [m]; what lies on a table is in it by less
-_REACH = 0.8  # of the workspace's radius, for free bodies, so that they are in all pictures and seldom fall off a table
+_REACH = 0.8  # of the workspace's radius, so that things are in all pictures and seldom fall off a table
 _HIGHEST = 0.5  # of the workspace's radius, above where they lie, for those that are turned anyhow
-_FULL_TURN = np.pi
+_HALF_TURN = np.pi  # to either side
 
 
 class Scattering:
-    """Puts things elsewhere: joints that the robot does not move anywhere in their range, free bodies in the workspace.
+    """Puts things elsewhere: joints that the robot does not move anywhere in their range, and all in the workspace.
 
     A reset puts a ball here and a closed door there, and what a few episodes of a hundred do to them is all that is
     ever seen of other places. A free body lies as it does after a reset, turned around the vertical, or, as often, is
@@ -60,11 +60,17 @@ class Scattering:
                 drawn[place : place + 7] = self._anywhere(qpos[place : place + 7], rng)
             elif kind == mujoco.mjtJoint.mjJNT_BALL:
                 drawn[place : place + 4] = _turned_anyhow(rng)
-            elif model.jnt_limited[joint]:
-                drawn[place] = rng.uniform(*model.jnt_range[joint])
-            elif kind == mujoco.mjtJoint.mjJNT_HINGE:
-                drawn[place] = rng.uniform(-_FULL_TURN, _FULL_TURN)
+            else:
+                drawn[place] = rng.uniform(*self._range(joint, qpos[place]))
         return drawn
+
+    def _range(self, joint: int, now: float) -> tuple[float, float]:
+        """Return where a hinge or slide can be [rad or m]; the limits of some slides are far beyond all pictures."""
+        model = self._scene.model
+        low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.inf, np.inf)
+        is_hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+        farthest = _HALF_TURN if is_hinge else _REACH * self._workspace.radius
+        return max(low, now - farthest), min(high, now + farthest)
 
     def _anywhere(self, pose: Float[ndarray, "7"], rng: np.random.Generator) -> Float[ndarray, "7"]:
         """Return a place in the workspace and an orientation of a free body."""

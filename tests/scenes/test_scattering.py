@@ -57,6 +57,20 @@ def test_free_things_begin_anywhere_in_the_workspace_and_inside_nothing(name: st
     assert np.ptp(away, axis=0).min() > workspace.radius
 
 
+def test_a_slide_whose_limits_are_far_away_stays_in_the_workspace():
+    scene, rng = make_scene("gym/Pusher-v5"), np.random.default_rng(0)
+    scattering, radius = Scattering(scene), scene.workspace().radius
+    slide = scene.model.joint("obj_slidex")
+    assert np.ptp(slide.range) > 10.0 * radius
+    moved = []
+    for seed in range(40):
+        scene.env.reset(seed=seed)
+        before = scene.data.qpos[slide.qposadr[0]]
+        scattering.scatter(rng)
+        moved.append(scene.data.qpos[slide.qposadr[0]] - before)
+    assert 0.4 * radius < np.abs(moved).max() <= 0.8 * radius
+
+
 def test_the_robot_stays_and_the_same_draws_give_the_same_places():
     scene = make_scene(BLOCKS)
     robot = [
