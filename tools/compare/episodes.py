@@ -1,11 +1,11 @@
 """Put two rounds of the tasks beside each other, on fewer and on more episodes: a page's table.
 
-Run from a checkout's root, after `tools.compare.tasks`:
+Run from a checkout's root:
 
     .venv/bin/python -m tools.compare.episodes
 
-Both rounds are of `tools.compare.tasks`, with the same seeds, minutes and threads on the same kind of processor. The
-earlier one is kept beside the frames' other results; its revision has the recipe that it is of.
+Both rounds are of `tools.compare.tasks`, with the same seeds, minutes and threads on the same kind of processor, and of
+encoders without landmarks; the revisions in the files have the recipes that they are of.
 """
 
 from collections.abc import Iterable, Mapping
@@ -15,15 +15,15 @@ from typing import Any
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json
 from tools.compare.frames import both
-from tools.compare.tasks import RESULT
 from tools.readme_tables import markdown_table, replace_tables
 
-FEWER, PAGE = Path("datasets/results/fewer_episodes.json"), Path("docs/choosing.md")
+FEWER, MORE = Path("datasets/results/fewer_episodes.json"), Path("pretrain/results/tasks_without_landmarks.json")
+PAGE = Path("docs/choosing.md")
 
 
 def main() -> None:
     """Write the page's table."""
-    rounds = [{(row["task"], row["seed"]): row for row in read_json(file)["runs"]} for file in (FEWER, RESULT)]
+    rounds = [{(row["task"], row["seed"]): row for row in read_json(file)["runs"]} for file in (FEWER, MORE)]
     write_text(PAGE, replace_tables(PAGE.read_text(), {"choosing-episodes": table(*rounds)}))
 
 
