@@ -153,9 +153,6 @@ class LearnerConfig:
     """whose batch holds those actions: the actor's, or the critic's, in which priorities repeat what was a surprise"""
     updates_per_step: Annotated[float, Limits(above=0, most=1000)] = 1.0
     """gradient updates per agent step"""
-    updates_while_learning: Annotated[float, Limits(above=0, most=1000)] | None = None
-    """as many instead from the first success on, as long as fewer than nine of ten of the latest training episodes
-    succeed; by default as at all other times, and so where the scene does not tell of success"""
     reset_after: Natural = 0
     """environment steps without a success, or without a better return where success is not told, after which networks
     and exploration start anew; 0 for never"""
@@ -172,15 +169,6 @@ class LearnerConfig:
 
     def __post_init__(self) -> None:
         check_values(self, "learner.")
-
-    def updates(self, is_learning: bool) -> float:
-        """Return how many updates an agent step is worth.
-
-        Args:
-            is_learning: whether some training episodes succeed, and not yet most of them.
-        """
-        more = self.updates_while_learning
-        return more if is_learning and more is not None else self.updates_per_step
 
     @property
     def uses_returns(self) -> bool:

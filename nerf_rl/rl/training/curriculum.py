@@ -15,7 +15,6 @@ STRUCTURE = {"failed_starts": listing(whole()), "ever_succeeded": flag, "recent"
 """of what :meth:`Curriculum.state_dict` has beside ``episode_index``, which checkpoints of every version hold"""
 _REMEMBERED = 20  # of the failures; older ones are of a policy that has learnt since
 _RECENT = 20  # of the episodes at new places
-_MOST = 18  # of these: from so many successes on, what is left to learn is little
 
 
 class Curriculum:
@@ -51,11 +50,6 @@ class Curriculum:
         self._ever_succeeded = False
         self._after_success = np.zeros(envs, np.int64)
         self.retried: Bool[ndarray, "E"] = np.zeros(envs, np.bool_)
-
-    @property
-    def is_learning(self) -> bool:
-        """Whether something has succeeded, and not yet nine of ten of the latest episodes at new places."""
-        return self._ever_succeeded and sum(self._recent) < _MOST
 
     def begin(self, env: int) -> int:
         """Return the seed of the next episode of an environment."""

@@ -299,7 +299,7 @@ class Trainer:
         self.demonstrations.clone(self.agent, self.replay, self.metrics.gather)
         if len(self.replay) < config.learner.batch_size:
             return
-        self._credit += config.learner.updates(self._curriculum.is_learning) * self._envs.num_envs
+        self._credit += config.learner.updates_per_step * self._envs.num_envs
         while self._credit >= 1.0:
             self.metrics.gather(self.agent.update(self.replay, self._beta()))
             self._credit -= 1.0

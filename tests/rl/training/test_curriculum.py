@@ -126,18 +126,6 @@ def test_retries_do_not_tell_how_many_succeed_at_new_places() -> None:
     assert made.state_dict() == before
 
 
-def test_learning_goes_on_from_the_first_success_until_nine_of_ten_succeed() -> None:
-    made, found = curriculum(share=0.0), []
-    for success in [None, *[False] * 30, True, *[False] * 5, *[True] * 18, *[False] * 3]:
-        made.begin(0)
-        made.end(0, success)
-        found.append(made.is_learning)
-    copy = curriculum(share=0.0)
-    copy.load_state_dict(made.state_dict())
-    assert copy.is_learning is made.is_learning
-    assert found == [False] * 31 + [True] * (1 + 5 + 17) + [False] + [False] * 2 + [True]
-
-
 def test_whole_episodes_are_acted_unless_an_end_is_asked_for() -> None:
     made = curriculum()
     for _ in range(40):

@@ -133,44 +133,6 @@ def test_a_checkpoint_with_an_impossible_random_state_is_told_of(envs: AsyncVect
         Trainer(config(tmp_path, resume=True), envs, tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("told", "updates"),
-    [
-        # an update a step until two episodes have succeeded, 24 steps later; three until eighteen have; then one again
-        (True, [200, 24 + 3 * 76, 3 * 60, 3 * 72 + 668]),
-        (False, [200, 100, 60, 740]),
-    ],
-)
-def test_there_are_more_updates_while_not_yet_all_succeeds_and_a_resumed_run_has_as_many(
-    told: bool, updates: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    envs = point_envs(2, steps=12)
-    step = envs.step_wait
-
-    def from_300_steps_on(*arguments: Any, **keys: Any) -> Any:
-        *rest, info = step(*arguments, **keys)
-        success = {"success": np.full(2, trainer.env_steps >= 300)} if told else {}
-        return (*rest, {key: value for key, value in info.items() if key != "success"} | success)
-
-    made = config(tmp_path)
-    made.learner.updates_while_learning = 3.0
-    counted = [0]
-    try:
-        monkeypatch.setattr(envs, "step_wait", from_300_steps_on)
-        trainer = Trainer(made, envs, tmp_path)
-        for until in (300, 400, 460, 1200):
-            train(trainer, until)
-            counted.append(trainer.agent.updates)
-            trainer.save()
-            trainer.replay.close()
-            made.resume = True
-            trainer = Trainer(made, envs, tmp_path)
-        trainer.replay.close()
-    finally:
-        envs.close(terminate=True)
-    assert np.diff(counted).tolist() == updates
-
-
 @pytest.mark.parametrize("told", [True, False])
 def test_exploration_waits_for_a_success_where_the_scene_tells_of_it(
     told: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
