@@ -10,6 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from nerf_rl.errors import MissingFileError, UserError
+from nerf_rl.scenes.scattering import turned_around_vertical
 from nerf_rl.scenes.structured import StructuredScene
 from nerf_rl.scenes.workspace import fit_workspace
 
@@ -74,9 +75,7 @@ class MjcfEnv(gymnasium.Env):
         if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
             qpos = self.data.qpos[place : place + 7]
             qpos[:2] += self.np_random.uniform(-self._place_spread, self._place_spread, 2)
-            half = self.np_random.uniform(-np.pi, np.pi) / 2.0
-            turn = np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
-            mujoco.mju_mulQuat(qpos[3:], turn, qpos[3:].copy())
+            qpos[3:] = turned_around_vertical(qpos[3:], self.np_random)
         elif model.jnt_type[joint] in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
             low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.inf, np.inf)
             spread = _JOINT_SPREAD * (high - low if model.jnt_limited[joint] else 1.0)

@@ -80,18 +80,24 @@ class Scattering:
         drawn = pose.copy()
         drawn[:2] = x + distance * np.cos(angle), y + distance * np.sin(angle)
         if rng.random() < 0.5:
-            half = rng.uniform(-np.pi, np.pi) / 2.0
-            mujoco.mju_mulQuat(drawn[3:], np.array([np.cos(half), 0.0, 0.0, np.sin(half)]), pose[3:])
+            drawn[3:] = turned_around_vertical(pose[3:], rng)
         else:
             drawn[2] += rng.uniform(0.0, _HIGHEST * radius)
             drawn[3:] = _turned_anyhow(rng)
         return drawn
 
     def _is_free(self) -> bool:
-        """Tell whether no thing is inside anything else."""
+        """Tell whether no thing is inside anything else, as far as MuJoCo finds contacts."""
         contacts = self._scene.data.contact
         touching = self._is_thing[contacts.geom].any(axis=1) if len(contacts.geom) else np.zeros(0, bool)
         return bool((contacts.dist[touching] > -_DEEPEST).all())
+
+
+def turned_around_vertical(quaternion: Float[ndarray, "4"], rng: np.random.Generator) -> Float[ndarray, "4"]:
+    """Return an orientation that is turned around the world's vertical, by any angle."""
+    half, turned = rng.uniform(-np.pi, np.pi) / 2.0, np.empty(4)
+    mujoco.mju_mulQuat(turned, np.array([np.cos(half), 0.0, 0.0, np.sin(half)]), quaternion)
+    return turned
 
 
 def _turned_anyhow(rng: np.random.Generator) -> Float[ndarray, "4"]:

@@ -91,7 +91,7 @@ def main() -> None:
                 make(folder_of(folder, arm), changed, task, seed, arguments)
             for arm in comparison.arms:
                 row = {"task": task, "seed": seed, **measure(folder, arm, comparison), **made_by(arguments)}
-                add(row, comparison, arguments.table or comparison.result)
+                add(row, arguments.about, arguments.table or comparison.result)
 
 
 def folder_of(folder: Path, arm: str) -> Path:
@@ -145,13 +145,12 @@ def describe(errors: ndarray) -> dict[str, float]:
     return {"rmse_mm": float(np.sqrt((millimetres**2).mean())), "median_mm": float(np.median(millimetres))}
 
 
-def add(row: dict[str, Any], comparison: Comparison, file: Path) -> None:
+def add(row: dict[str, Any], about: str, file: Path) -> None:
     """Write a row into a result file, in place of one of the same run, and the page's table if the file is its own."""
-    what = ("task", "seed", "minutes", "arm")
+    comparison, what = COMPARISONS[about], ("task", "seed", "minutes", "arm")
     known = read_json(file)["runs"] if file.exists() else []
     rows = [*(other for other in known if [other[key] for key in what] != [row[key] for key in what]), row]
     rows.sort(key=lambda one: (one["task"], one["seed"], one["minutes"], list(comparison.arms).index(one["arm"])))
-    about = next(name for name, known in COMPARISONS.items() if known is comparison)
     words = f"python -m tools.compare.frames TASKS --about {about} --seeds SEEDS --minutes MINUTES --threads THREADS"
     write_json(file, {"command": words, "recipes": [DATASET_RECIPE, RECIPE, OBJECTIVE], "runs": rows})
     if file == comparison.result:
