@@ -104,14 +104,12 @@ class Encoder(nn.Module):
         for block in range(0, len(self.convolutions), _LAYERS_PER_BLOCK):
             maps.append(self.convolutions[block : block + _LAYERS_PER_BLOCK](maps[-1]))
         seen = maps[-1].flatten(1)
-        size = projections.new_tensor([self.rig.width, self.rig.height, 1.0])
-        cameras = projections / size[:, None]  # in image widths and heights
+        cameras = _in_parts(projections, self.rig.width, self.rig.height)
         each = self.per_view(torch.cat([seen, cameras.reshape(batch * views, 12).to(seen.dtype)], dim=-1))
         found = None
         if self.landmarks is not None:
             height, width = (self.config.patch * cells for cells in maps[1].shape[-2:])  # of the pixels that are read
-            parts = projections / projections.new_tensor([width, height, 1.0])[:, None]
-            found = self.landmarks(maps[1 : 1 + READ_MAPS], parts)
+            found = self.landmarks(maps[1 : 1 + READ_MAPS], _in_parts(projections, width, height))
         with in_full_precision(each.device):
             latent = self.merged(each.to(projections.dtype).reshape(batch, views, -1).mean(1))
             if self.landmarks is not None and found is not None:
@@ -193,6 +191,12 @@ class Encoder(nn.Module):
         if not bool((encoder.latent_std > 0).all()):
             raise MissingFileError("an encoder", file, "a deviation of its latents is not positive", "train it again")
         return encoder.eval().requires_grad_(False)
+
+
+def _in_parts(projections: Float[Tensor, "B V 3 4"], width: int, height: int) -> Float[Tensor, "B V 3 4"]:
+    """Return camera matrices that project to parts of a picture's width and height instead of pixels."""
+    across, down, depth = projections.unbind(2)
+    return torch.stack([across / width, down / height, depth], 2)
 
 
 def _cells(pixels: int, config: EncoderConfig) -> int:

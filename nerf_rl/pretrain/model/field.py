@@ -214,7 +214,7 @@ class RadianceField(nn.Module):
 
     def static_features(self, x: Float[Tensor, "B N 3"]) -> Float[Tensor, "B N G"]:
         """Return what the feature planes hold at contracted points."""
-        pairs = torch.stack([x[..., [0, 1]], x[..., [0, 2]], x[..., [1, 2]]]).flatten(1, 2) / 2.0
+        pairs = torch.stack([x[..., :2], x[..., ::2], x[..., 1:]]).flatten(1, 2) / 2.0
         pairs = pairs.nan_to_num(
             0.0
         )  # where a point is nowhere, PyTorch would look it up outside of the planes' memory

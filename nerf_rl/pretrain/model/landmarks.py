@@ -134,4 +134,4 @@ def triangulate(
     normal = torch.einsum("bvaki,bvakj->baij", weighted, rows)
     prior = _PRIOR_ERROR**2 * torch.eye(3, device=rows.device, dtype=rows.dtype)
     right = torch.einsum("bvaki,bvak->bai", weighted, errors)
-    return torch.linalg.solve(normal + prior, right[..., None])[..., 0]
+    return torch.linalg.solve_ex(normal + prior, right[..., None]).result[..., 0]  # never singular, so not checked

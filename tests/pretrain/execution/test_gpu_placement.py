@@ -1,11 +1,14 @@
 """All that pretraining computes, on a GPU that need not be there: fake tensors raise where devices mix."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from torch._subclasses.fake_tensor import FakeTensorMode
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
 
 from nerf_rl.cameras.geometry import intrinsics_from_fovy, look_at
 from nerf_rl.pretrain.config import EncoderConfig, FieldConfig, LossConfig, SamplingConfig
@@ -20,6 +23,8 @@ from nerf_rl.pretrain.objectives.losses import SEGMENTATION, losses, segmentatio
 SCENES, RAYS, VIEWS, SIZE, CLASSES = 2, 5, 2, 16, 3
 SAMPLING = SamplingConfig(rendering_stratified=6, rendering_importance=4)
 CUDA = torch.device("cuda", 0)
+WAITING = ("_local_scalar_dense", "_linalg_check_errors", "nonzero")
+"""operations that read what a GPU has computed"""
 
 
 @pytest.fixture
@@ -27,6 +32,16 @@ def gpu() -> Iterator[None]:
     """Make what is created in a test a fake tensor on a GPU, and refuse tensors that are not."""
     with FakeTensorMode(allow_non_fake_inputs=False), CUDA:
         yield
+
+
+class NothingIsFetched(TorchDispatchMode):
+    """Refuses what makes a GPU and the processor wait for each other, which a CUDA graph cannot hold."""
+
+    def __torch_dispatch__(self, operation: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        done = operation(*args, **(kwargs or {}))
+        found = {leaf.device for leaf in tree_leaves((args, kwargs, done)) if isinstance(leaf, torch.Tensor)}
+        assert found <= {CUDA} and str(operation).split(".")[1] not in WAITING, f"{operation} of tensors on {found}"
+        return done
 
 
 def make_encoder() -> Encoder:
@@ -65,12 +80,13 @@ def test_a_training_step_stays_on_the_gpu():
     field.set_coarse_to_fine(0.5)
     shape = (SCENES, RAYS)
     noise = SampleNoise(torch.rand(*shape, 4), torch.rand(*shape, 3), torch.randn(*shape, 3))
-    latent, landmarks = encoder.read(batch.images, batch.projections)
-    assert landmarks is not None
-    rendered = render_depth_guided(field, latent, batch.origins, batch.directions, batch.depth, SAMPLING, noise)
-    named = losses(rendered, batch, field.origins(latent)[:, :1], torch.rand(1))
-    named[SEGMENTATION] = segmentation_loss(landmarks.logits, batch.shares)
-    values = [*named.values(), weighted_sum(named, LossConfig()), rendered.depth, *rendered.values.values()]
+    with NothingIsFetched():
+        latent, landmarks = encoder.read(batch.images, batch.projections)
+        assert landmarks is not None
+        rendered = render_depth_guided(field, latent, batch.origins, batch.directions, batch.depth, SAMPLING, noise)
+        named = losses(rendered, batch, field.origins(latent)[:, :1], torch.rand(1))
+        named[SEGMENTATION] = segmentation_loss(landmarks.logits, batch.shares)
+        values = [*named.values(), weighted_sum(named, LossConfig()), rendered.depth, *rendered.values.values()]
     assert {value.device for value in values} == {CUDA}
     for parameter in parameters:  # going backwards takes a real GPU
         parameter.grad = torch.zeros_like(parameter)
@@ -96,6 +112,21 @@ def test_a_folded_field_stays_on_the_gpu(frames: int):
     folded = ConditionedField(field, torch.rand(8))
     density, features = folded(torch.rand(7, 3))
     assert density.device == features.device == CUDA
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        pytest.param(lambda x: x[:, [0, 1]], id="indices of the processor"),
+        pytest.param(lambda x: x / x.new_tensor([1.0, 2.0, 3.0]), id="numbers of the processor"),
+        pytest.param(lambda x: torch.linalg.solve(x, x), id="a check for errors"),
+        pytest.param(lambda x: x * float(x.sum()), id="a number that is read"),
+    ],
+)
+@pytest.mark.usefixtures("gpu")
+def test_what_a_graph_cannot_hold_is_found(wrong: Callable[[torch.Tensor], torch.Tensor]):
+    with pytest.raises((AssertionError, RuntimeError)), NothingIsFetched():
+        wrong(torch.rand(3, 3))
 
 
 @pytest.mark.usefixtures("gpu")
