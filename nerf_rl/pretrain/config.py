@@ -25,7 +25,9 @@ FIELD: Final = "field"
 ANCHORS: Final = "anchors"
 RANDOM: Final = "random"
 Objective = Literal["field", "anchors", "autoencoder", "depth", "masked", "contrastive", "supervised", "random"]
-_HOW_NOT_WHAT = "data out resume overwrite threads loader_workers steps max_minutes accelerator devices nodes strategy"
+_HOW_NOT_WHAT = (
+    "data out resume overwrite threads loader_workers step_graph steps max_minutes accelerator devices nodes strategy"
+)
 _HOW_NOT_WHAT += " log_every loggers stop_when"
 
 
@@ -184,7 +186,9 @@ class PretrainConfig:
     strategy: Literal["auto", "ddp"] = "auto"
     """how several devices train together: auto or ddp (distributed data parallel)"""
     loader_workers: Annotated[int, Limits(least=0, most=1024)] | None = None
-    """processes that prepare batches, of each device; 0: a thread of the training process (null: 0, on a GPU 2)"""
+    """processes that prepare batches, of each device; 0: a thread of the training process (null: 0, on a GPU 4)"""
+    step_graph: bool = True
+    """on a GPU, capture a step of the radiance field as a CUDA graph and replay that; otherwise nothing"""
     threads: Processes | None = None
     """CPU threads of a training process (null: PyTorch's own choice, divided by the devices of a node)"""
     log_every: Count = 25

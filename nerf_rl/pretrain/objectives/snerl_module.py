@@ -1,5 +1,6 @@
 """The LightningModule that trains encoder and radiance field together."""
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from nerf_rl.pretrain.data.data_module import NO_FRAME
 from nerf_rl.pretrain.data.statistics import Statistics
 from nerf_rl.pretrain.data.teachers import find_teacher
 from nerf_rl.pretrain.execution.side_by_side import Shares, equal_shares
+from nerf_rl.pretrain.execution.step_graph import StepGraph
 from nerf_rl.pretrain.measures.picture_measures import PictureFigures, PictureMeasures
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 from nerf_rl.pretrain.model.field import RadianceField
@@ -62,6 +64,7 @@ class SnerlModule(EncoderModule):
         self.register_buffer("anchor_spread", torch.from_numpy(anchors.spread).float(), persistent=False)
         self.threads = 1
         """that share the scenes of a training step"""
+        self._graph: StepGraph | None = None
         others = {role: dataset.views(role)[:_MOST_OTHER_CAMERAS] for role in _OTHER_CAMERAS if dataset.views(role)}
         self._views = {ENCODER_CAMERAS: dataset.views(ENCODER_CAMERAS), **others}
         names, far = dataset.class_names, statistics.bounds.far
@@ -73,13 +76,15 @@ class SnerlModule(EncoderModule):
         self.field.set_coarse_to_fine(min(self.progress() / self.config.coarse_to_fine, 1.0))
         noise = self._noise(len(batch.images))
         shares = equal_shares(len(batch.images), self.threads)
-        if len(shares) == 1:
+        if self._replays:
+            named, total = self._replayed_losses(batch, noise)
+        elif len(shares) == 1:
             named, total = self._losses(batch, noise)
         else:
             named, total = self._shares.mean_losses(
                 lambda share: self._losses(RayBatch(*(part[share] for part in batch)), noise.of_scenes(share)),
                 shares,
-                [parameter for parameter in self.parameters() if parameter.requires_grad],
+                self._trained(),
             )
         self.log_losses(named, total)
         return total
@@ -98,6 +103,26 @@ class SnerlModule(EncoderModule):
         for kind in self._dataset.absent:
             named.pop(_LOSSES_OF.get(kind, ""), None)
         return named, weighted_sum(named, self.config.losses)
+
+    @cached_property
+    def _replays(self) -> bool:
+        """Whether steps are captured; not where processes exchange gradients while those are computed."""
+        return self.config.step_graph and self.device.type == "cuda" and self.config.processes == 1
+
+    def _replayed_losses(self, batch: RayBatch, noise: SampleNoise) -> tuple[dict[str, Tensor], Tensor]:
+        """Return what :meth:`_losses` does, by replaying what it did in the first step."""
+        inputs = [*batch, noise.even, noise.before, noise.around]
+        if self._graph is None:
+            parts = len(batch)
+            self._graph = StepGraph(
+                lambda given: self._losses(RayBatch(*given[:parts]), SampleNoise(*given[parts:])),
+                self._trained(),
+                inputs,
+            )
+        return self._graph(inputs)
+
+    def _trained(self) -> list[nn.Parameter]:
+        return [parameter for parameter in self.parameters() if parameter.requires_grad]
 
     def describe_step(self) -> str:
         """Return how the last step went, in words; it waits for the device."""

@@ -1,0 +1,63 @@
+"""A training step as one launch: on a GPU, to launch its many small kernels takes longer than to run them."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+Losses = Callable[[Sequence[Tensor]], tuple[dict[str, Tensor], Tensor]]
+_WARM_UPS = 3  # as PyTorch does before it captures: libraries choose their kernels in the first
+
+
+class StepGraph:
+    """Losses and gradients of a step, captured as a CUDA graph once and then replayed.
+
+    What is captured reads and writes the same memory in every replay, so inputs are copied to where the first ones
+    were, and parameters must stay where they are. It must not draw random numbers, nor wait for the device.
+
+    Args:
+        losses: returns a step's losses by name and their weighted sum.
+        parameters: to take gradients by.
+        inputs: of a step, on the GPU; those of later steps have the same shapes.
+    """
+
+    def __init__(self, losses: Losses, parameters: Sequence[nn.Parameter], inputs: Sequence[Tensor]):
+        self._parameters, self._inputs = list(parameters), [given.clone() for given in inputs]
+        aside = torch.cuda.Stream()
+        aside.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(aside):
+            for _ in range(_WARM_UPS):
+                self._compute(losses)
+        torch.cuda.current_stream().wait_stream(aside)
+        torch.clear_autocast_cache()  # weights that were cast before are not cast again in a replay
+        self._graph = torch.cuda.CUDAGraph()
+        # meanwhile another thread may reserve memory for the next batches
+        with torch.cuda.graph(self._graph, capture_error_mode="thread_local"):
+            self._named, self._total, self._gradients = self._compute(losses)
+        torch.clear_autocast_cache()
+
+    def __call__(self, inputs: Sequence[Tensor]) -> tuple[dict[str, Tensor], Tensor]:
+        """Return a step's losses by name, which the next step overwrites, and their sum, which has its gradients."""
+        torch._foreach_copy_(self._inputs, list(inputs))
+        self._graph.replay()
+        total: Tensor = _Replayed.apply(self._total, self._gradients, *self._parameters)  # type: ignore[no-untyped-call]
+        return self._named, total
+
+    def _compute(self, losses: Losses) -> tuple[dict[str, Tensor], Tensor, tuple[Tensor, ...]]:
+        named, total = losses(self._inputs)
+        gradients = torch.autograd.grad(total, self._parameters, allow_unused=True, materialize_grads=True)
+        return {name: value.detach() for name, value in named.items()}, total.detach(), gradients
+
+
+class _Replayed(torch.autograd.Function):
+    """A sum whose gradients are known."""
+
+    @staticmethod
+    def forward(ctx: Any, total: Tensor, gradients: tuple[Tensor, ...], *parameters: nn.Parameter) -> Tensor:
+        ctx.gradients = gradients
+        return total.clone()
+
+    @staticmethod
+    def backward(ctx: Any, *outer: Tensor) -> tuple[Tensor | None, ...]:
+        return None, None, *torch._foreach_mul(ctx.gradients, outer[0])
