@@ -1,6 +1,6 @@
 """How batches reach the training loop: an epoch of steps, prepared while the device works."""
 
-import signal
+import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -11,15 +11,15 @@ from torch.utils.data import DataLoader, Dataset
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import FIELD, PretrainConfig
-from nerf_rl.pretrain.data.batches import RayBatch, RayBatches
+from nerf_rl.pretrain.data.batches import RayBatches
 from nerf_rl.pretrain.data.statistics import measure
-from nerf_rl.pretrain.data.view_batches import ViewBatch, ViewBatches
+from nerf_rl.pretrain.data.view_batches import ViewBatches
+from nerf_rl.pretrain.data.worker_batches import Batch, WorkerBatches
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 
 _AHEAD = 2  # batches that are prepared before they are asked for
-_WORKERS_OF_A_GPU = 2  # a batch takes about as long to prepare as a step on a GPU, whose launches keep one core busy
+_WORKERS_OF_A_GPU = 4  # a batch takes longer to prepare than a step on a GPU takes
 NO_FRAME = -1
-Batch = RayBatch | ViewBatch
 
 
 class EpochSteps:
@@ -72,30 +72,6 @@ class BatchesAhead:
         return len(self._steps)
 
 
-class FetchedAhead:
-    """Iterates over the batches of worker processes; a thread takes them over while one is in use.
-
-    To open the shared memory of a batch's arrays takes several milliseconds, which the training step would wait for.
-
-    Args:
-        batches: of the worker processes.
-    """
-
-    def __init__(self, batches: DataLoader):
-        self.batches = batches
-
-    def __iter__(self) -> Iterator[Batch]:
-        arriving = iter(self.batches)
-        with ThreadPoolExecutor(1, "batches") as thread:
-            waiting = deque(thread.submit(next, arriving, None) for _ in range(_AHEAD))
-            while (batch := waiting.popleft().result()) is not None:
-                waiting.append(thread.submit(next, arriving, None))
-                yield batch
-
-    def __len__(self) -> int:
-        return len(self.batches)
-
-
 class MultiViewDataModule(lightning.LightningDataModule):
     """Batches of an epoch for training, and whole held-out frames for validation.
 
@@ -112,7 +88,7 @@ class MultiViewDataModule(lightning.LightningDataModule):
         super().__init__()
         self._dataset, self._config, self._rank, self._ranks = dataset, config, rank, ranks
         self._on_gpu = on_gpu
-        usual = _WORKERS_OF_A_GPU if on_gpu else 0
+        usual = min(_WORKERS_OF_A_GPU, len(os.sched_getaffinity(0))) if on_gpu else 0
         self._workers = usual if config.loader_workers is None else config.loader_workers
         self.statistics = measure(dataset, config)
         self.rig = EncoderRig.of_dataset(dataset)
@@ -130,7 +106,7 @@ class MultiViewDataModule(lightning.LightningDataModule):
             batches = kind(self._dataset, self._config, self.statistics, share)
             steps = EpochSteps(self._config.steps, self._config.steps_per_epoch, self._steps_done)
             self._train = (
-                FetchedAhead(_in_processes(batches, steps, self._workers, self._on_gpu))
+                WorkerBatches(batches, steps, self._workers, self._on_gpu)
                 if self._workers
                 else BatchesAhead(batches, steps)
             )
@@ -150,21 +126,3 @@ class MultiViewDataModule(lightning.LightningDataModule):
 
     def _steps_done(self) -> int:
         return self.trainer.global_step if self.trainer is not None else 0
-
-
-def _in_processes(batches: RayBatches | ViewBatches, steps: EpochSteps, workers: int, on_gpu: bool) -> DataLoader:
-    return DataLoader(
-        batches,
-        batch_size=None,
-        sampler=steps,
-        num_workers=workers,
-        multiprocessing_context="spawn",
-        persistent_workers=True,
-        prefetch_factor=_AHEAD,
-        pin_memory=on_gpu,
-        worker_init_fn=_leave_interrupts_to_parent,
-    )
-
-
-def _leave_interrupts_to_parent(worker: int) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)

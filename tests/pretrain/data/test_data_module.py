@@ -1,5 +1,6 @@
 """How batches reach the training loop: in order, ahead of time, by a thread or by processes that stay."""
 
+import os
 import threading
 import time
 from pathlib import Path
@@ -13,7 +14,7 @@ from torch.utils.data import Dataset
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.data.batches import RayBatches
-from nerf_rl.pretrain.data.data_module import NO_FRAME, BatchesAhead, EpochSteps, FetchedAhead, MultiViewDataModule
+from nerf_rl.pretrain.data.data_module import NO_FRAME, BatchesAhead, EpochSteps, MultiViewDataModule, WorkerBatches
 
 
 @pytest.fixture
@@ -77,21 +78,22 @@ def test_processes_prepare_the_same_batches_as_a_thread_and_stay_for_the_next_ep
         loader: Any = processes.train_dataloader()
         for mine, theirs in zip(thread.train_dataloader(), loader, strict=True):
             assert all(torch.equal(a, b) for a, b in zip(mine, theirs, strict=True))
-            workers |= {worker.pid for worker in loader.batches._iterator._workers}
+            workers |= {worker.pid for worker in loader.loader._iterator._workers}
     assert len(workers) == 1
-    loader.batches._iterator._shutdown_workers()
+    loader.loader._iterator._shutdown_workers()
 
 
 @pytest.mark.parametrize(
-    ("on_gpu", "asked", "workers"), [(False, None, 0), (True, None, 2), (False, 3, 3), (True, 0, 0)]
+    ("on_gpu", "asked", "workers"),
+    [(False, None, 0), (True, None, min(4, len(os.sched_getaffinity(0)))), (False, 3, 3), (True, 0, 0)],
 )
 def test_a_gpu_has_processes_that_prepare_its_batches(
     dataset: MultiViewDataset, on_gpu: bool, asked: int | None, workers: int
 ):
     made = MultiViewDataModule(dataset, config(loader_workers=asked), on_gpu=on_gpu).train_dataloader()
-    assert isinstance(made, FetchedAhead if workers else BatchesAhead)
-    if isinstance(made, FetchedAhead):
-        assert (made.batches.num_workers, made.batches.pin_memory) == (workers, on_gpu)
+    assert isinstance(made, WorkerBatches if workers else BatchesAhead)
+    if isinstance(made, WorkerBatches):
+        assert (made.loader.num_workers, made._pinned) == (workers, on_gpu)
 
 
 @pytest.mark.parametrize("ranks", [2, 4])
