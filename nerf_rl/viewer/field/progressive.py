@@ -136,7 +136,7 @@ def render_progressively(
 def _in_chunks(
     render: Callable[[slice], _Rays], count: int, stale: Callable[[], bool], device: torch.device
 ) -> _Rays | None:
-    """Render rays in all threads; None if a newer picture was wanted before the end.
+    """Render rays, on the processor in all threads; None if a newer picture was wanted before the end.
 
     Args:
         render: renders the rays of a slice.
@@ -144,8 +144,9 @@ def _in_chunks(
         stale: tells whether a newer picture is wanted.
         device: where they are rendered.
     """
-    most = _RAYS_PER_CHUNK if device.type == "cpu" else _RAYS_PER_CHUNK_ON_GPU
-    size = min(most, -(-count // (2 * _thread_count())))
+    size = _RAYS_PER_CHUNK_ON_GPU
+    if device.type == "cpu":
+        size = min(_RAYS_PER_CHUNK, -(-count // (2 * _thread_count())))
 
     def chunk(start: int) -> _Rays | None:
         if stale():
