@@ -2,14 +2,16 @@
 
 Run from a checkout's root, with nothing else running:
 
-    .venv/bin/python -m tools.bench.gpu [--json FILE] [--work FOLDER] [--keep]
+    .venv/bin/python -m tools.bench.gpu [--json FILE] [--work FOLDER] [--keep] [--stages STAGE ...]
 
 Pretraining runs the demo's recipe in float32 and in bfloat16, for its steps or --minutes, whichever is over first. The
-agent learns on the CPU and on the GPU. --device cpu --share 0.02 tries all of it, small, on a machine without one. A
-stage that fails is recorded with what it said, and the others go on.
+agent learns on the CPU and on the GPU. The profile tells for how much of a training step the device is busy, and with
+what. --device cpu --share 0.02 tries all of it, small, on a machine without one. A stage that fails is recorded with
+what it said, and the others go on; stages that are left out keep what the file says of them.
 """
 
 import argparse
+import itertools
 import json
 import os
 import shutil
@@ -32,6 +34,9 @@ from nerf_rl.machine.gl import is_software
 
 RECIPES = {"data": "datasets/demo.yaml", "encoder": "pretrain/demo.yaml", "agent": "rl/demo.yaml"}
 PRECISIONS = ("32", "bf16")
+WARM_STEPS, TIMED_STEPS, PROFILED_STEPS = 20, 100, 10  # of training, for the profile
+BATCHES = 8  # that it goes round
+LISTED_OPERATIONS = 12  # those that take the device longest
 PICTURES = 40  # of the field, from a camera that moves
 SIDE = 128  # of a picture [pixels]
 
@@ -48,6 +53,7 @@ def main() -> int:
         "--minutes", type=float, default=None, help="of each pretraining; as the recipe has it if left out"
     )
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)), help="render processes")
+    parser.add_argument("--stages", nargs="+", help="only these (default: all)")
     arguments = parser.parse_args()
     work = arguments.work or Path(tempfile.mkdtemp(prefix="bench_gpu_"))
     result: dict[str, Any] = {
@@ -62,6 +68,7 @@ def main() -> int:
         "gpu": bench.gpu,
         "generation": bench.generation,
         **{f"pretraining_{name}": (lambda name=name: bench.pretraining(name)) for name in PRECISIONS},
+        **{f"profile_{name}": (lambda name=name: bench.profile(name)) for name in PRECISIONS},
         "batches": bench.batches,
         **{
             f"agent_on_{name}": (lambda name=name: bench.agent(name))
@@ -69,7 +76,13 @@ def main() -> int:
         },
         "field": bench.field,
     }
+    if unknown := set(arguments.stages or ()) - set(stages):
+        parser.error(f"unknown stages {', '.join(sorted(unknown))}; there are {', '.join(stages)}")
+    if arguments.stages and arguments.json.exists():
+        result = {**read_json(arguments.json), **result}
     for name, measure in stages.items():
+        if arguments.stages and name not in arguments.stages:
+            continue
         start = time.monotonic()
         try:
             result[name] = measure()
@@ -132,22 +145,97 @@ class Bench:
         }
         return self._run("pretrain", "encoder", f"encoder_{precision}", keys)
 
+    def profile(self, precision: str) -> dict[str, Any]:
+        """Return how long a training step takes and what it consists of: replayed as one graph, and launched in parts.
+
+        On the CPU there are no graphs.
+        """
+        names = {True: "replayed", False: "launched"}
+        return {names[graph]: self._profile(precision, graph) for graph in (True, False)}
+
+    def _profile(self, precision: str, graph: bool) -> dict[str, Any]:
+        """Return how long a training step of the demo takes, and for how much of it the device computes what [ms]."""
+        import torch
+
+        device = torch.device(self._torch_device)
+        step = self._training_step(precision, graph)
+        for _ in range(WARM_STEPS):
+            step()
+        start = time.perf_counter()
+        for _ in range(TIMED_STEPS):
+            step()
+        if device.type == "cuda":
+            torch.cuda.synchronize()
+        taken = 1e3 * (time.perf_counter() - start) / TIMED_STEPS
+        with torch.profiler.profile() as profiler:  # of the processor, and of the GPU if there is one
+            for _ in range(PROFILED_STEPS):
+                step()
+            if device.type == "cuda":
+                torch.cuda.synchronize()
+        on_cpu = device.type == "cpu"
+        spent = {
+            event.key: (event.self_cpu_time_total if on_cpu else event.self_device_time_total, event.count)
+            for event in profiler.key_averages()
+            if on_cpu or event.device_type == torch.autograd.DeviceType.CUDA
+        }
+        ordered = sorted(spent.items(), key=lambda item: -item[1][0])
+        busy = sum(microseconds for microseconds, _ in spent.values()) / 1e3 / PROFILED_STEPS
+        return {
+            "step_ms": round(taken, 2),
+            "busy_ms": round(busy, 2),
+            "operations": round(sum(count for _, count in spent.values()) / PROFILED_STEPS),
+            "longest_ms": {
+                name[:80]: round(time / 1e3 / PROFILED_STEPS, 3) for name, (time, _) in ordered[:LISTED_OPERATIONS]
+            },
+        }
+
+    def _training_step(self, precision: str, graph: bool) -> Callable[[], None]:
+        """Return what does a training step of the demo's encoder, on batches that are on the device already."""
+        import torch
+
+        from nerf_rl.arguments.parsing import parse_config
+        from nerf_rl.datasets.storage.reader import MultiViewDataset
+        from nerf_rl.pretrain.config import PretrainConfig
+        from nerf_rl.pretrain.data.data_module import MultiViewDataModule
+        from nerf_rl.pretrain.fitting import make_module
+
+        device = torch.device(self._torch_device)
+        words = ["--config", RECIPES["encoder"], "--data", str(self._work / "data"), "--out", "out"]
+        words += ["--step_graph", str(graph).lower()]
+        config = parse_config(PretrainConfig, "pretrain", "", words)
+        dataset = MultiViewDataset(self._work / "data")
+        data = MultiViewDataModule(dataset, config)
+        module = make_module(config, dataset, data).to(device)
+        optimiser = module.configure_optimizers()["optimizer"]
+        drawn = itertools.islice(data.train_dataloader(), BATCHES)
+        batches = itertools.cycle([type(batch)(*(part.to(device) for part in batch)) for batch in drawn])
+
+        def step() -> None:
+            with torch.autocast(device.type, torch.bfloat16, enabled=precision == "bf16"):
+                loss = module.training_step(next(batches), 0)
+            optimiser.zero_grad()
+            loss.backward()
+            module.configure_gradient_clipping(optimiser)
+            optimiser.step()
+
+        return step
+
     def batches(self) -> dict[str, Any]:
-        """Return how long a loop of 20 ms steps waits for its batches [ms], by the processes that prepare them."""
+        """Return how long a loop of 5 ms steps waits for its batches [ms], by the processes that prepare them."""
         from nerf_rl.datasets.storage.reader import MultiViewDataset
         from nerf_rl.pretrain.config import PretrainConfig
         from nerf_rl.pretrain.data.data_module import MultiViewDataModule
 
         waits = {}
         dataset = MultiViewDataset(self._work / "data")
-        for workers in (0, 1, 2):
+        for workers in (0, 2, 4, 8):
             module = MultiViewDataModule(dataset, PretrainConfig("data", "out", loader_workers=workers))
             batches, found = iter(module.train_dataloader()), []
             for _ in range(60):
                 start = time.perf_counter()
                 next(batches)
                 found.append(1e3 * (time.perf_counter() - start))
-                time.sleep(0.02)
+                time.sleep(0.005)
             waits[str(workers)] = round(float(np.median(found[10:])), 2)
         return {"median_wait_ms_by_loader_workers": waits}
 
