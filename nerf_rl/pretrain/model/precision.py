@@ -11,8 +11,8 @@ def resolve_precision(name: str, device: torch.device) -> str:
     """Return ``32`` or ``bf16``; ``auto`` takes what was measured to train better on such a device.
 
     Processors that multiply bfloat16 (in tiles, as Intel's AMX does, or in vectors, AVX-512 BF16) do a quarter to two
-    fifths more steps in it in the same time, and end with a better encoder (pretrain/README.md). Nobody has compared
-    the two on others, nor on GPUs, so there it is 32.
+    fifths more steps in it in the same time, and end with a better encoder (pretrain/README.md). An H100 does fewer
+    steps in it; nobody has compared the two on other processors, so there it is 32.
     """
     if name != "auto":
         return name
