@@ -188,7 +188,7 @@ class PretrainConfig:
     loader_workers: Annotated[int, Limits(least=0, most=1024)] | None = None
     """processes that prepare batches, of each device; 0: a thread of the training process (null: 0, on a GPU 4)"""
     step_graph: bool = True
-    """on a GPU, capture a step of the radiance field as a CUDA graph and replay that; otherwise nothing"""
+    """on one GPU in float32, capture a step of the radiance field as a CUDA graph and replay that; otherwise nothing"""
     threads: Processes | None = None
     """CPU threads of a training process (null: PyTorch's own choice, divided by the devices of a node)"""
     log_every: Count = 25

@@ -148,7 +148,7 @@ class Bench:
     def profile(self, precision: str) -> dict[str, Any]:
         """Return how long a training step takes and what it consists of: replayed as one graph, and launched in parts.
 
-        On the CPU there are no graphs.
+        On the CPU there are no graphs, nor in bfloat16.
         """
         names = {True: "replayed", False: "launched"}
         return {names[graph]: self._profile(precision, graph) for graph in (True, False)}

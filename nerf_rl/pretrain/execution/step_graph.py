@@ -30,12 +30,10 @@ class StepGraph:
             for _ in range(_WARM_UPS):
                 self._compute(losses)
         torch.cuda.current_stream().wait_stream(aside)
-        torch.clear_autocast_cache()  # weights that were cast before are not cast again in a replay
         self._graph = torch.cuda.CUDAGraph()
         # meanwhile another thread may reserve memory for the next batches
         with torch.cuda.graph(self._graph, capture_error_mode="thread_local"):
             self._named, self._total, self._gradients = self._compute(losses)
-        torch.clear_autocast_cache()
 
     def __call__(self, inputs: Sequence[Tensor]) -> tuple[dict[str, Tensor], Tensor]:
         """Return a step's losses by name, which the next step overwrites, and their sum, which has its gradients."""

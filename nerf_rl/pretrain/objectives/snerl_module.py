@@ -21,7 +21,7 @@ from nerf_rl.pretrain.execution.step_graph import StepGraph
 from nerf_rl.pretrain.measures.picture_measures import PictureFigures, PictureMeasures
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 from nerf_rl.pretrain.model.field import RadianceField
-from nerf_rl.pretrain.model.precision import in_full_precision
+from nerf_rl.pretrain.model.precision import in_full_precision, resolve_precision
 from nerf_rl.pretrain.model.ray_rendering import RenderedImages, SampleNoise, render_depth_guided, render_images
 from nerf_rl.pretrain.objectives.encoder_module import EncoderModule
 from nerf_rl.pretrain.objectives.losses import SEGMENTATION, losses, segmentation_loss, weighted_sum
@@ -106,8 +106,14 @@ class SnerlModule(EncoderModule):
 
     @cached_property
     def _replays(self) -> bool:
-        """Whether steps are captured; not where processes exchange gradients while those are computed."""
-        return self.config.step_graph and self.device.type == "cuda" and self.config.processes == 1
+        """Whether steps are captured.
+
+        Not where processes exchange gradients while those are computed, nor in bfloat16: nobody has tried whether
+        weights are cast anew in each replay.
+        """
+        config, is_gpu = self.config, self.device.type == "cuda"
+        is_whole = resolve_precision(config.precision, self.device) == "32"
+        return config.step_graph and is_gpu and is_whole and config.processes == 1
 
     def _replayed_losses(self, batch: RayBatch, noise: SampleNoise) -> tuple[dict[str, Tensor], Tensor]:
         """Return what :meth:`_losses` does, by replaying what it did in the first step."""
