@@ -21,7 +21,7 @@ from nerf_rl.pretrain.data.view_batches import ViewBatch
 Batch = RayBatch | ViewBatch
 _AHEAD = 2  # batches that a process prepares before they are asked for
 _SLOTS = _AHEAD + 1  # of a process: it gets the step for a used one only after the batch there was copied
-_ALIGNMENT = 16  # of each array's beginning [bytes]
+_ALIGNMENT = 16  # of each array's beginning, and so of each slot's [bytes]
 
 
 class Layout(NamedTuple):
@@ -37,9 +37,8 @@ class Layout(NamedTuple):
         """Return how to lay out batches like this one."""
         parts, end = [], 0
         for array in batch:
-            start = math.ceil(end / _ALIGNMENT) * _ALIGNMENT
-            end = start + array.nbytes
-            parts.append((start, array.nbytes, array.dtype, array.shape))
+            parts.append((end, array.nbytes, array.dtype, array.shape))
+            end += math.ceil(array.nbytes / _ALIGNMENT) * _ALIGNMENT
         return cls(type(batch), parts, end)
 
     def view(self, memory: Tensor) -> Batch:

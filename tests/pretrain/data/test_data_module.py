@@ -14,7 +14,9 @@ from torch.utils.data import Dataset
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.data.batches import RayBatches
-from nerf_rl.pretrain.data.data_module import NO_FRAME, BatchesAhead, EpochSteps, MultiViewDataModule, WorkerBatches
+from nerf_rl.pretrain.data.data_module import NO_FRAME, BatchesAhead, EpochSteps, MultiViewDataModule
+from nerf_rl.pretrain.data.view_batches import ViewBatch
+from nerf_rl.pretrain.data.worker_batches import Layout, WorkerBatches
 
 
 @pytest.fixture
@@ -81,6 +83,35 @@ def test_processes_prepare_the_same_batches_as_a_thread_and_stay_for_the_next_ep
             workers |= {worker.pid for worker in loader.loader._iterator._workers}
     assert len(workers) == 1
     loader.loader._iterator._shutdown_workers()
+
+
+@pytest.mark.parametrize("views", [1, 3])
+def test_batches_of_any_shape_lie_in_one_memory_and_in_the_slots_of_processes(views: int):
+    batch = ViewBatch(
+        torch.randint(0, 255, (3, views, 5, 7, 3), dtype=torch.uint8),
+        torch.rand(3, views, 3, 4),
+        torch.rand(3, views, 5, 7),
+        torch.rand(3, 5),
+        torch.rand(3, 0, 3),
+        torch.ones(3, 0, dtype=torch.bool),
+        torch.rand(3, views, 0, 0, 0),
+    )
+    layout = Layout.of(batch)
+    for memory in torch.zeros(3, layout.bytes, dtype=torch.uint8):
+        for target, array in zip(layout.view(memory), batch, strict=True):
+            target.copy_(array)
+        assert all(torch.equal(mine, theirs) for mine, theirs in zip(layout.view(memory), batch, strict=True))
+
+
+@pytest.mark.parametrize("objective", ["autoencoder", "anchors"])
+def test_processes_prepare_whole_views_too(dataset: MultiViewDataset, objective: str):
+    expected = MultiViewDataModule(dataset, config(objective=objective, steps=2))
+    processes = MultiViewDataModule(dataset, config(objective=objective, steps=2, loader_workers=1))
+    for module in (expected, processes):
+        begin(module, 0)
+    for mine, theirs in zip(expected.train_dataloader(), processes.train_dataloader(), strict=True):
+        assert all(torch.equal(a, b) for a, b in zip(mine, theirs, strict=True))
+    processes.train_dataloader().loader._iterator._shutdown_workers()  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize(
