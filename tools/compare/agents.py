@@ -42,6 +42,7 @@ STRONG_IMITATION = ["--learner.imitation_weight", "0.5"]
 PRIORITISED_IMITATION = [*STRONG_IMITATION, "--learner.imitation_batch", "critic"]
 CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]
 TWO_UPDATES = ["--learner.updates_per_step", "2"]
+HALF_BATCHES = [*TWO_UPDATES, "--learner.batch_size", "64"]
 BLIND = ["--control", "blind"]
 DEMONSTRATIONS = ["--config", "rl/demonstrations.yaml"]
 ARMS = {
@@ -55,6 +56,11 @@ ARMS = {
     "strong self-imitation and curriculum": [*STRONG_IMITATION, *CURRICULUM],
     "prioritised self-imitation and curriculum": [*PRIORITISED_IMITATION, *CURRICULUM],
     "strong self-imitation and curriculum, two updates a step": [*STRONG_IMITATION, *CURRICULUM, *TWO_UPDATES],
+    "strong self-imitation and curriculum, two updates of half a batch": [
+        *STRONG_IMITATION,
+        *CURRICULUM,
+        *HALF_BATCHES,
+    ],
     "blind": BLIND,
     "blind, strong self-imitation and curriculum": [*BLIND, *STRONG_IMITATION, *CURRICULUM],
     "blind, prioritised self-imitation and curriculum": [*BLIND, *PRIORITISED_IMITATION, *CURRICULUM],
@@ -63,6 +69,12 @@ ARMS = {
         *STRONG_IMITATION,
         *CURRICULUM,
         *TWO_UPDATES,
+    ],
+    "blind, strong self-imitation and curriculum, two updates of half a batch": [
+        *BLIND,
+        *STRONG_IMITATION,
+        *CURRICULUM,
+        *HALF_BATCHES,
     ],
     "3 demonstrations": DEMONSTRATIONS,
     "blind, 3 demonstrations": [*DEMONSTRATIONS, *BLIND],
