@@ -16,6 +16,7 @@ from nerf_rl.pretrain.data.batches import RayBatch
 from nerf_rl.pretrain.data.data_module import NO_FRAME
 from nerf_rl.pretrain.data.statistics import Statistics
 from nerf_rl.pretrain.data.teachers import find_teacher
+from nerf_rl.pretrain.execution.placement import choose_strategy
 from nerf_rl.pretrain.execution.side_by_side import Shares, equal_shares
 from nerf_rl.pretrain.execution.step_graph import StepGraph
 from nerf_rl.pretrain.measures.picture_measures import PictureFigures, PictureMeasures
@@ -113,7 +114,7 @@ class SnerlModule(EncoderModule):
         """
         config, is_gpu = self.config, self.device.type == "cuda"
         is_whole = resolve_precision(config.precision, self.device) == "32"
-        return config.step_graph and is_gpu and is_whole and config.processes == 1
+        return config.step_graph and is_gpu and is_whole and choose_strategy(config) == "auto"
 
     def _replayed_losses(self, batch: RayBatch, noise: SampleNoise) -> tuple[dict[str, Tensor], Tensor]:
         """Return what :meth:`_losses` does, by replaying what it did in the first step."""

@@ -135,6 +135,7 @@ def test_training_by_replays_is_training(device: str, tiny_dataset: Path, reques
         ("cuda:0", {}, True),
         ("cuda:0", {"step_graph": False}, False),
         ("cuda:0", {"devices": 2}, False),
+        ("cuda:0", {"strategy": "ddp"}, False),
         ("cuda:0", {"precision": "bf16"}, False),
         ("cuda:0", {"precision": "32"}, True),
         ("cpu", {}, False),
