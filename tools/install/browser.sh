@@ -15,4 +15,7 @@ then
     echo "test-browser: installing chromium"
     install_packages chromium
 fi
-.venv/bin/python -c "import playwright" 2>/dev/null || .venv/bin/python -m pip install --quiet --editable ".[browser]"
+if ! .venv/bin/python -c "import playwright" 2>/dev/null; then
+    . tools/install/python_packages.sh
+    install_with browser
+fi
