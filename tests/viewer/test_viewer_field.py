@@ -11,6 +11,7 @@ from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import SamplingConfig
 from nerf_rl.pretrain.measures.linear_probe import encode_frames
 from nerf_rl.pretrain.model.ray_rendering import render_images
+from nerf_rl.viewer.field import progressive
 from nerf_rl.viewer.field.density_mesh import density_mesh, surface_net
 from nerf_rl.viewer.field.field_panel import Pace
 from nerf_rl.viewer.field.latents import EncodedDataset, interpolate
@@ -116,3 +117,20 @@ def test_errors_are_black_for_a_perfect_rendering(encoded: EncodedDataset, frame
     rendered[0].rgb[0] = frame.rgb[0] / 255.0
     rendered[0].semantic[0], rendered[0].depth[0] = frame.semantic[0], frame.depth[0]
     assert all(picture.max() < 5 for picture in errors(frame, 0, rendered[0], far=2.0))
+
+
+@pytest.mark.parametrize(("device", "parts"), [("cpu", 4), ("cuda:0", 1)])
+def test_a_gpu_renders_a_picture_in_one_part_and_processors_in_several(
+    device: str, parts: int, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(progressive, "_thread_count", lambda: 2)
+    rendered: list[slice] = []
+
+    def render(part: slice) -> progressive._Rays:
+        rendered.append(part)
+        places = torch.arange(1000.0)[part, None]
+        return progressive._Rays(places, places, places)
+
+    whole = progressive._in_chunks(render, 1000, lambda: False, torch.device(device))
+    assert whole is not None and torch.equal(whole.depths[:, 0], torch.arange(1000.0))
+    assert len(rendered) == parts

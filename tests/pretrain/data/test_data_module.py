@@ -1,6 +1,5 @@
 """How batches reach the training loop: in order, ahead of time, by a thread or by processes that stay."""
 
-import os
 import threading
 import time
 from pathlib import Path
@@ -115,12 +114,19 @@ def test_processes_prepare_whole_views_too(dataset: MultiViewDataset, objective:
 
 
 @pytest.mark.parametrize(
-    ("on_gpu", "asked", "workers"),
-    [(False, None, 0), (True, None, min(4, len(os.sched_getaffinity(0)))), (False, 3, 3), (True, 0, 0)],
+    ("on_gpu", "asked", "processors", "workers"),
+    [(False, None, 16, 0), (True, None, 16, 4), (True, None, 2, 2), (False, 3, 2, 3), (True, 0, 16, 0)],
 )
+@pytest.mark.filterwarnings("ignore:This DataLoader will create")  # more processes than processors, as asked
 def test_a_gpu_has_processes_that_prepare_its_batches(
-    dataset: MultiViewDataset, on_gpu: bool, asked: int | None, workers: int
+    dataset: MultiViewDataset,
+    on_gpu: bool,
+    asked: int | None,
+    processors: int,
+    workers: int,
+    monkeypatch: pytest.MonkeyPatch,
 ):
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(processors)))
     made = MultiViewDataModule(dataset, config(loader_workers=asked), on_gpu=on_gpu).train_dataloader()
     assert isinstance(made, WorkerBatches if workers else BatchesAhead)
     if isinstance(made, WorkerBatches):
