@@ -67,13 +67,16 @@ class FieldConfig:
     """frames with origins linear in z, in which points are encoded as well, beside one for each class that moves"""
     plane_size: Annotated[int, Limits(least=1, most=2**12)] = 128
     """cells along an edge of the three static feature planes"""
+    object_plane_size: Annotated[int, Limits(least=0, most=2**12)] = 64
+    """cells along an edge of the three feature planes that move with each class that does; 0: there are none"""
     plane_features: Annotated[int, Limits(least=1, most=2**10)] = 8
     """features in a cell"""
 
     def __post_init__(self) -> None:
         check_values(self, "radiance_field.")
-        if self.plane_size**2 * self.plane_features > _MOST_IN_A_PLANE:
-            raise UserError("radiance_field: planes have at most 2^27 values, plane_size^2 x plane_features, each")
+        for size in ("plane_size", "object_plane_size"):
+            if getattr(self, size) ** 2 * self.plane_features > _MOST_IN_A_PLANE:
+                raise UserError(f"radiance_field: planes have at most 2^27 values, {size}^2 x plane_features, each")
 
 
 @dataclass
@@ -153,7 +156,7 @@ class PretrainConfig:
     """frames in a training step"""
     rays_per_scene: Annotated[int, Limits(least=1, most=2**16)] = 64
     """rays drawn over all supervising cameras of a frame"""
-    class_balance: float = 0.5
+    class_balance: float = 0.25
     """rays are drawn with weight (class frequency)^-balance: 0 is uniform, 1 gives every class the same share"""
     change_boost: float = 4.0
     """rays of fixed cameras are drawn with weight 1 + boost x (share of frames in which its class is unusual)"""
@@ -163,8 +166,10 @@ class PretrainConfig:
     """wall-clock budget of training, validations apart [minutes]; schedules end with it"""
     stop_when: str | None = None
     """measure of a validation that ends the run, such as miou>=0.9, psnr_db>=24, ssim>=0.8 or depth_mae_m<=0.03"""
-    learning_rate: Positive = 7e-4
+    learning_rate: Positive = 1e-3
     """peak rate of Adam"""
+    field_rate: Positive = 2.0
+    """learning rate of the radiance field's layers, in learning rates of all else"""
     coarse_to_fine: PositiveShare = 0.4
     """share of the run after which moving frames see all octaves of a point; before, the finer ones open one by one"""
     steps_per_epoch: Count = 250

@@ -28,11 +28,6 @@ class Middles(NamedTuple):
     seen: Bool[ndarray, "B C"]
     """whether there are enough"""
 
-    @classmethod
-    def of_nothing(cls, classes: int) -> "Middles":
-        """Return those of one frame that shows nothing."""
-        return cls(np.zeros((1, classes, 3)), np.zeros((1, classes), bool))
-
 
 class Anchors(NamedTuple):
     """The classes that move, of which each is followed by a frame."""
@@ -43,8 +38,15 @@ class Anchors(NamedTuple):
     """of their middles over frames [m]"""
     spread: Float[ndarray, "A"]
     """root mean square distance of their middles from there [m]"""
+    size: Float[ndarray, "A"]
+    """root mean square distance of the points that cameras see of them from their middle [m]"""
     share: Float[ndarray, "A"]
     """of the pixels that show them"""
+
+    @classmethod
+    def of_nothing(cls) -> "Anchors":
+        """Return those of a dataset that nothing is followed in."""
+        return cls((), np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0))
 
 
 def visible_middles(
@@ -62,11 +64,8 @@ def visible_middles(
         intrinsics, camera_from_world: of the cameras.
         classes: number of classes.
     """
-    frames, views, height, width = depth.shape
-    x = (np.arange(width) + 0.5 - intrinsics[:, :1, 2]) / intrinsics[:, :1, 0]
-    y = (np.arange(height) + 0.5 - intrinsics[:, 1:2, 2]) / intrinsics[:, 1:2, 1]
-    rays = np.ones((views, height, width, 3), np.float32)
-    rays[..., 0], rays[..., 1] = x[:, None], y[:, :, None]
+    frames, views = depth.shape[:2]
+    rays = _rays(intrinsics, *depth.shape[2:])
     ids = np.arange(classes, dtype=np.uint8)[:, None]
     count = np.zeros((frames, views, classes))
     sums = np.zeros((frames, views, classes, 3))
@@ -85,11 +84,44 @@ def visible_middles(
     return Middles(np.where(seen[..., None], world.sum(1) / np.maximum(pixels, 1)[..., None], 0.0), seen)
 
 
-def choose_anchors(middles: Middles, share: Float[ndarray, "C"]) -> Anchors:
+def visible_sizes(
+    depth: Float[ndarray, "B V H W"],
+    semantic: UInt8[ndarray, "B V H W"],
+    intrinsics: Float[ndarray, "V 3 3"],
+    camera_from_world: Float[ndarray, "B V 4 4"],
+    middles: Middles,
+) -> Float[ndarray, "B C"]:
+    """Return the root mean square distance [m] of what some cameras see of each class from its middle.
+
+    Args:
+        depth, semantic, intrinsics, camera_from_world: as :func:`visible_middles` takes them.
+        middles: that it has found; the size of what is not seen is zero.
+    """
+    rays, classes = _rays(intrinsics, *depth.shape[2:]), middles.seen.shape[1]
+    count, squares = np.zeros(middles.seen.shape), np.zeros(middles.seen.shape)
+    for frame, view in np.ndindex(*depth.shape[:2]):
+        pose, label = camera_from_world[frame, view], semantic[frame, view].ravel()
+        own = middles.place[frame] @ pose[:3, :3].T + pose[:3, 3]  # in the camera's axes
+        points = (depth[frame, view][..., None] * rays[view]).reshape(-1, 3)
+        squares[frame] += np.bincount(label, ((points - own[label]) ** 2).sum(1), classes)
+        count[frame] += np.bincount(label, minlength=classes)
+    return np.where(middles.seen, np.sqrt(squares / np.maximum(count, 1)), 0.0)
+
+
+def _rays(intrinsics: Float[ndarray, "V 3 3"], height: int, width: int) -> Float[ndarray, "V H W 3"]:
+    """Return the rays of unit planar depth through all pixels, in each camera's axes."""
+    rays = np.ones((len(intrinsics), height, width, 3), np.float32)
+    rays[..., 0] = ((np.arange(width) + 0.5 - intrinsics[:, :1, 2]) / intrinsics[:, :1, 0])[:, None]
+    rays[..., 1] = ((np.arange(height) + 0.5 - intrinsics[:, 1:2, 2]) / intrinsics[:, 1:2, 1])[:, :, None]
+    return rays
+
+
+def choose_anchors(middles: Middles, sizes: Float[ndarray, "B C"], share: Float[ndarray, "C"]) -> Anchors:
     """Return the classes that are seen often enough and do not stay where they are.
 
     Args:
         middles: of all classes.
+        sizes: of them where they are seen [m].
         share: of the pixels that show each.
     """
     count = np.maximum(middles.seen.sum(0), 1)
@@ -99,7 +131,8 @@ def choose_anchors(middles: Middles, share: Float[ndarray, "C"]) -> Anchors:
     often = middles.seen.mean(0) >= _LEAST_SEEN
     chosen = np.flatnonzero(often & (spread >= _LEAST_SPREAD_M))
     chosen = chosen[chosen != BACKGROUND]
-    return Anchors(tuple(int(c) for c in chosen), mean[chosen], spread[chosen], share[chosen])
+    size = np.sqrt((sizes**2).sum(0) / count)
+    return Anchors(tuple(int(c) for c in chosen), mean[chosen], spread[chosen], size[chosen], share[chosen])
 
 
 def countable_labels(semantic: UInt8[ndarray, "*S"], valid: Bool[ndarray, "*S"] | None) -> UInt8[ndarray, "*S"]:

@@ -11,7 +11,14 @@ from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.stored_manifest import DEPTH
 from nerf_rl.errors import UserError
 from nerf_rl.pretrain.config import ANCHORS, PretrainConfig
-from nerf_rl.pretrain.data.anchors import Anchors, Middles, choose_anchors, countable_labels, visible_middles
+from nerf_rl.pretrain.data.anchors import (
+    Anchors,
+    Middles,
+    choose_anchors,
+    countable_labels,
+    visible_middles,
+    visible_sizes,
+)
 from nerf_rl.pretrain.data.looked_at import FARTHEST, NEAREST, distances_to_what_is_looked_at
 from nerf_rl.pretrain.model.field import FieldBounds
 
@@ -73,8 +80,8 @@ def measure(dataset: MultiViewDataset, config: PretrainConfig) -> Statistics:
     bounds = _bounds(dataset, config, pixels, intrinsics[views], poses[:, views])
     weights = frequency**-config.class_balance, 1.0 + config.change_boost * change
     follows = (config.losses.anchor or config.objective == ANCHORS) and DEPTH not in dataset.absent
-    followed = _middles(dataset, frames) if follows else Middles.of_nothing(len(dataset.class_names))
-    return Statistics(bounds, *weights, choose_anchors(followed, frequency))
+    anchors = choose_anchors(*_things(dataset, frames), frequency) if follows else Anchors.of_nothing()
+    return Statistics(bounds, *weights, anchors)
 
 
 def class_change(shown: Int[ndarray, "C V H W"]) -> Float[ndarray, "V H W"]:
@@ -111,16 +118,18 @@ def _look(dataset: MultiViewDataset, frames: ndarray, views: list[int]) -> tuple
     return _Pixels(*(np.concatenate(column) for column in zip(*parts, strict=True))), shown
 
 
-def _middles(dataset: MultiViewDataset, frames: ndarray) -> Middles:
-    """Return where the encoder's cameras see each class."""
-    views, parts = dataset.views("encoder"), []
+def _things(dataset: MultiViewDataset, frames: ndarray) -> tuple[Middles, Float[ndarray, "N C"]]:
+    """Return where the encoder's cameras see each class, and how large it looks [m]."""
+    views, parts, sizes = dataset.views("encoder"), [], []
     for first in range(0, len(frames), _FRAMES_AT_ONCE):
         chunk = frames[first : first + _FRAMES_AT_ONCE]
         intrinsics, poses = dataset.tracked_cameras(chunk)
         depth, semantic = dataset.read("depth", chunk)[:, views], dataset.read_labels(chunk)
         labels = countable_labels(semantic, dataset.read_valid(chunk))[:, views]
-        parts.append(visible_middles(depth, labels, intrinsics[views], poses[:, views], len(dataset.class_names)))
-    return Middles(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        seen = depth, labels, intrinsics[views], poses[:, views]
+        parts.append(visible_middles(*seen, len(dataset.class_names)))
+        sizes.append(visible_sizes(*seen, parts[-1]))
+    return Middles(*(np.concatenate(column) for column in zip(*parts, strict=True))), np.concatenate(sizes)
 
 
 def _as_if_looked_at(pixels: _Pixels, poses: Float[ndarray, "N V 4 4"], config: PretrainConfig) -> _Pixels:

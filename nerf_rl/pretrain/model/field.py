@@ -14,6 +14,7 @@ from torch.nn import functional as F
 from nerf_rl.files.json_files import write_json
 from nerf_rl.files.tensor_files import filled, read_tensors, write_tensors
 from nerf_rl.pretrain.config import FieldConfig
+from nerf_rl.pretrain.model.feature_planes import ObjectPlanes, noise, project, sample
 from nerf_rl.pretrain.model.field_description import DESCRIPTION, FORMAT, WEIGHTS, read_field_description
 from nerf_rl.pretrain.model.frame_origins import FrameOrigins
 from nerf_rl.pretrain.model.precision import in_full_precision
@@ -47,6 +48,8 @@ class Folded(NamedTuple):
     """of the first layer, for a point's encoding"""
     shifts: list[Float[Tensor, "#B 1 W"]]
     """what each layer adds"""
+    origins: Float[Tensor, "B A 3"]
+    """of the frames that follow classes, in the box"""
 
 
 class RadianceField(nn.Module):
@@ -56,8 +59,9 @@ class RadianceField(nn.Module):
     does change mostly moves as a whole, so points are also encoded relative to frames whose origins are linear in z: a
     drawer that slides is then one shape in a moving frame, and its position is easy to read from z. The first frames
     each follow a class that moves (:mod:`nerf_rl.pretrain.data.anchors`), the others find something to follow. The
-    network sees all of that and z itself. Colours, class logits and teacher features are linear in the features, so
-    they are read once a ray, after compositing, which equals compositing them sample by sample.
+    network sees all of that, what feature planes that go with those first frames hold, and z itself. Colours, class
+    logits and teacher features are linear in the features, so they are read once a ray, after compositing, which equals
+    compositing them sample by sample.
 
     Frames cost next to nothing. As sin(a (x - o)) = sin(a x) cos(a o) - cos(a x) sin(a o), and likewise for cos, the
     first layer is linear in [x, sin(a x), cos(a x)] for all frames together, so for each latent the frames' weights are
@@ -91,10 +95,14 @@ class RadianceField(nn.Module):
         super().__init__()
         self.config, self.bounds = config, bounds
         self.sizes = {"latent": latent, "classes": classes, "teacher_features": teacher_features, "anchors": anchors}
-        self.frames = anchors + config.free_frames
-        self.planes = nn.Parameter(_noise(3, config.plane_features, config.plane_size, config.plane_size))
+        self.anchors, self.frames = anchors, anchors + config.free_frames
+        self.planes = nn.Parameter(noise(3, config.plane_features, config.plane_size, config.plane_size))
         self.frame_origins = FrameOrigins(latent, self.frames) if self.frames else None
-        encoded = (1 + self.frames) * (3 + 6 * config.frequencies) + 3 * config.plane_features
+        self.object_planes: ObjectPlanes | None = None
+        if anchors and config.object_plane_size:
+            self.object_planes = ObjectPlanes(anchors, config.object_plane_size, config.plane_features)
+        planes = 3 if self.object_planes is None else 6
+        encoded = (1 + self.frames) * (3 + 6 * config.frequencies) + planes * config.plane_features
         widths = [encoded] + [config.width] * config.layers
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))
         # z enters at the first and at the last hidden layer
@@ -132,16 +140,21 @@ class RadianceField(nn.Module):
         """Return where in the world the frames are [m]."""
         return self.centre + self.bounds.half_extent * self._origins_in_box(latent)
 
-    def place_anchors(self, middles: Float[Tensor, "A 3"], spread: Float[Tensor, "A"]) -> None:
+    def place_anchors(
+        self, middles: Float[Tensor, "A 3"], spread: Float[Tensor, "A"], sizes: Float[Tensor, "A"]
+    ) -> None:
         """Let the first frames start where the classes that they follow are on average.
 
         Args:
             middles: those places in the world [m].
             spread: how far the classes move from there [m].
+            sizes: root mean square distance of their points from their middles [m].
         """
+        extent = self.bounds.half_extent
         if self.frame_origins is not None:
-            extent = self.bounds.half_extent
             self.frame_origins.place((middles.to(self.centre) - self.centre) / extent, spread.to(self.centre) / extent)
+        if self.object_planes is not None:
+            self.object_planes.place(sizes.to(self.centre) / extent)
 
     def fold(self, latent: Float[Tensor, "B Z"]) -> Folded:
         """Return the layers as latents have them, for any number of points."""
@@ -153,8 +166,8 @@ class RadianceField(nn.Module):
                 shifts[int(name)] = shifts[int(name)] + added(latent)[:, None]
             weight = first.weight.T
             folded = weight[:block].expand(len(latent), -1, -1)
+            origins = self._origins_in_box(latent)
             if self.frames:
-                origins = self._origins_in_box(latent)
                 phases = (self.octaves[:, None] * origins[:, :, None]).flatten(2)  # B F 3L
                 linear, sine, cosine = (
                     weight[block : (1 + self.frames) * block]
@@ -170,7 +183,7 @@ class RadianceField(nn.Module):
                 ]
                 folded = folded + torch.cat(moved, dim=1)
                 shifts[0] = shifts[0] - torch.einsum("bfd,fdw->bw", origins, linear)[:, None]
-            return Folded(folded, shifts)
+            return Folded(folded, shifts, origins[:, : self.anchors])
 
     def evaluate(
         self, points: Float[Tensor, "B N 3"], folded: Folded
@@ -179,8 +192,10 @@ class RadianceField(nn.Module):
         x = contract((points - self.centre) / self.bounds.half_extent)
         # apart from the static features, since no gradient goes back to where a point is
         hidden = torch.bmm(torch.cat([x, *self._waves(x)], dim=-1), folded.weight)
-        static = self.static_features(x)
-        hidden = hidden + F.linear(static, self.layers[0].weight[:, -static.shape[-1] :])  # type: ignore[index]
+        looked_up = self.static_features(x)
+        if self.object_planes is not None:
+            looked_up = torch.cat([looked_up, self.object_planes(x, folded.origins)], dim=-1)
+        hidden = hidden + F.linear(looked_up, self.layers[0].weight[:, -looked_up.shape[-1] :])  # type: ignore[index]
         for layer, shift in zip([None, *self.layers[1:]], folded.shifts, strict=True):
             hidden = hidden if layer is None else F.linear(hidden, layer.weight)
             hidden = F.relu_(hidden + shift.to(hidden.dtype))
@@ -213,13 +228,8 @@ class RadianceField(nn.Module):
         return [*sines, *cosines][: 2 * self.config.frequencies]
 
     def static_features(self, x: Float[Tensor, "B N 3"]) -> Float[Tensor, "B N G"]:
-        """Return what the feature planes hold at contracted points."""
-        pairs = torch.stack([x[..., :2], x[..., ::2], x[..., 1:]]).flatten(1, 2) / 2.0
-        pairs = pairs.nan_to_num(
-            0.0
-        )  # where a point is nowhere, PyTorch would look it up outside of the planes' memory
-        sampled = F.grid_sample(self.planes, pairs[:, :, None], align_corners=False, padding_mode="border")
-        return sampled[..., 0].permute(2, 0, 1).reshape(*x.shape[:-1], -1)
+        """Return what the static feature planes hold at contracted points."""
+        return sample(self.planes, project(x) / 2.0)
 
     def save(self, folder: Path) -> None:
         """Write ``field.safetensors`` and ``field.json``."""
@@ -235,22 +245,17 @@ class RadianceField(nn.Module):
             MissingFileError: there is none, it is damaged, or of another format.
         """
         described = read_field_description(folder)
+        config = FieldConfig(**{"object_plane_size": 0, **described["config"]})  # none before they were there
         bounds = FieldBounds(**{**described["bounds"], "centre": tuple(described["bounds"]["centre"])})
         sizes = {name: described[name] for name in ("latent", "classes", "teacher_features", "anchors")}
 
         def make() -> RadianceField:
-            return cls(FieldConfig(**described["config"]), bounds, **sizes)
+            return cls(config, bounds, **sizes)
 
         tensors = read_tensors(folder / WEIGHTS)
-        if frames := described["anchors"] + FieldConfig(**described["config"]).free_frames:
+        if frames := described["anchors"] + config.free_frames:
             tensors.setdefault("frame_origins.units", torch.ones(frames))  # one for all, before there were more
         return filled(make, tensors, folder / WEIGHTS).eval()
-
-
-def _noise(*shape: int) -> Tensor:
-    """Return normal noise of deviation 0.1; none on the meta device, where PyTorch would import its compiler for it."""
-    noise = torch.empty(*shape)
-    return noise if noise.is_meta else noise.normal_().mul_(0.1)
 
 
 def contract(x: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3"]:

@@ -22,6 +22,7 @@ _STRUCTURE = mapping(
                 "frequencies": whole(0, 64),
                 "free_frames": whole(0, 2**10),
                 "plane_size": _SIZE,
+                "object_plane_size": whole(0, 2**20),
                 "plane_features": _SIZE,
             },
         ),

@@ -28,7 +28,7 @@ from nerf_rl.pretrain.objectives.encoder_module import EncoderModule
 from nerf_rl.pretrain.objectives.losses import SEGMENTATION, losses, segmentation_loss, weighted_sum
 from nerf_rl.pretrain.stopping import parse_goal
 
-_PLANE_RATE = 10.0  # of static feature planes, times the learning rate: few rays reach any one cell
+_PLANE_RATE = 10.0  # of feature planes, times the learning rate: few rays reach any one cell
 ENCODER_CAMERAS = "encoder"
 """the role of those that z is made of; a run's figures are of what they see"""
 _LOSSES_OF = {DEPTH: "depth", LABELS: "semantic"}  # which mean nothing where there is none
@@ -61,7 +61,7 @@ class SnerlModule(EncoderModule):
             teacher_width,
             len(anchors.classes),
         )
-        self.field.place_anchors(*(torch.from_numpy(value) for value in (anchors.mean, anchors.spread)))
+        self.field.place_anchors(*(torch.from_numpy(value) for value in (anchors.mean, anchors.spread, anchors.size)))
         self.register_buffer("anchor_spread", torch.from_numpy(anchors.spread).float(), persistent=False)
         self.threads = 1
         """that share the scenes of a training step"""
@@ -145,9 +145,18 @@ class SnerlModule(EncoderModule):
         return noise.of_scenes(slice(first, first + scenes))
 
     def parameter_groups(self) -> list[dict[str, Any]]:
-        """Return all parameters; cells of planes learn at a higher rate."""
-        others = [parameter for parameter in self.parameters() if parameter is not self.field.planes]
-        return [{"params": others}, {"params": [self.field.planes], "lr": _PLANE_RATE * self.config.learning_rate}]
+        """Return all parameters; the field's layers and the cells of its planes learn at higher rates."""
+        rate, field = self.config.learning_rate, self.field
+        planes = [field.planes, *(field.object_planes.parameters() if field.object_planes is not None else ())]
+        layers = [*field.layers.parameters(), *field.latent_layers.parameters()]
+        for head in (field.density_head, field.rgb_head, field.semantic_head, field.feature_head):
+            layers += head.parameters() if head is not None else ()
+        faster = {id(parameter) for parameter in (*planes, *layers)}
+        return [
+            {"params": [parameter for parameter in self.parameters() if id(parameter) not in faster]},
+            {"params": layers, "lr": self.config.field_rate * rate},
+            {"params": planes, "lr": _PLANE_RATE * rate},
+        ]
 
     def on_train_start(self) -> None:
         """Leave single operations undivided while scenes are shared out."""

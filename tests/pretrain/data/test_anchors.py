@@ -9,7 +9,14 @@ import torch
 from nerf_rl.datasets.storage.point_cloud import unproject
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import PretrainConfig
-from nerf_rl.pretrain.data.anchors import Anchors, FollowedMiddles, Middles, choose_anchors, visible_middles
+from nerf_rl.pretrain.data.anchors import (
+    Anchors,
+    FollowedMiddles,
+    Middles,
+    choose_anchors,
+    visible_middles,
+    visible_sizes,
+)
 from nerf_rl.pretrain.data.batches import RayBatches
 from nerf_rl.pretrain.data.data_module import MultiViewDataModule
 from nerf_rl.pretrain.data.statistics import measure
@@ -27,11 +34,14 @@ def middles_of(dataset: MultiViewDataset) -> Middles:
     return visible_middles(dataset.read("depth"), dataset.read_labels(frames), intrinsics, poses, 5)
 
 
-def test_a_middle_is_the_mean_of_the_points_that_pixels_show(dataset: MultiViewDataset):
+def test_a_middle_is_the_mean_of_the_points_that_pixels_show_and_a_size_how_far_they_are_from_it(
+    dataset: MultiViewDataset,
+):
     """Through the point clouds' own unprojection, with a camera that moves among the others."""
     middles = middles_of(dataset)
     intrinsics, poses = dataset.cameras(np.arange(len(dataset)))
     depth, labels = dataset.read("depth"), dataset.read_labels(np.arange(len(dataset)))
+    sizes = visible_sizes(depth, labels, intrinsics, poses, middles)
     assert len(dataset.class_names) == 5 and np.abs(poses - poses[:1]).max() > 0.01
     hidden = 0
     for frame in range(len(dataset)):
@@ -42,6 +52,8 @@ def test_a_middle_is_the_mean_of_the_points_that_pixels_show(dataset: MultiViewD
             assert middles.seen[frame, label] == (len(shown) >= 6)
             expected = shown.mean(0) if len(shown) >= 6 else np.zeros(3)
             np.testing.assert_allclose(middles.place[frame, label], expected, atol=1e-6)
+            apart = np.sqrt(((shown - expected) ** 2).sum(1).mean()) if len(shown) >= 6 else 0.0
+            np.testing.assert_allclose(sizes[frame, label], apart, atol=1e-6)
     assert not middles.seen[:, 0].any()  # nothing follows the background
 
 
@@ -67,10 +79,12 @@ def test_classes_that_stay_or_are_hardly_ever_seen_are_not_followed():
     seen[::2, 4] = False
     seen[:, 0] = False
     place[~seen] = 0.0
-    anchors = choose_anchors(Middles(place, seen), np.array([0.6, 0.1, 0.2, 0.06, 0.04]))
+    sizes = np.where(seen, [9.0, 9.0, 0.3, 9.0, 0.1], 0.0)
+    anchors = choose_anchors(Middles(place, seen), sizes, np.array([0.6, 0.1, 0.2, 0.06, 0.04]))
     assert anchors.classes == (2, 4)
     np.testing.assert_allclose(anchors.mean, [[0, 0, 0], [0.5, 0.5, 0.0]], atol=0.02)
     assert anchors.share.tolist() == [0.2, 0.04]
+    np.testing.assert_allclose(anchors.size, [0.3, 0.1])
     np.testing.assert_allclose(anchors.spread, [0.05 * 3**0.5, 0.02 * 3**0.5], rtol=0.15)
 
 
@@ -118,7 +132,7 @@ def test_middles_that_are_kept_are_those_of_their_frames_however_they_were_drawn
     dataset = MultiViewDataset(tiny_dataset)
     classes = len(dataset.class_names)
     followed = (1, classes - 1)
-    kept = FollowedMiddles(dataset, Anchors(followed, np.zeros((2, 3)), np.ones(2), np.full(2, 0.1)))
+    kept = FollowedMiddles(dataset, Anchors(followed, np.zeros((2, 3)), np.ones(2), np.ones(2), np.full(2, 0.1)))
     for drawn in ([4, 1, 4], [1, 0, 5], [5, 4, 2]):
         frames = np.array(drawn)
         intrinsics, poses = dataset.cameras(frames)

@@ -8,7 +8,7 @@ from nerf_rl.pretrain.data.anchors import Anchors
 from nerf_rl.pretrain.data.segmentation import CellShares
 from nerf_rl.pretrain.objectives.losses import segmentation_loss
 
-ANCHORS = Anchors((2, 5), np.zeros((2, 3)), np.ones(2), np.array([0.09, 0.01]))
+ANCHORS = Anchors((2, 5), np.zeros((2, 3)), np.ones(2), np.ones(2), np.array([0.09, 0.01]))
 
 
 def weights_of(shares: CellShares) -> np.ndarray:

@@ -108,7 +108,7 @@ def test_rays_without_depth_and_latents_stay_on_the_gpu():
 @pytest.mark.usefixtures("gpu")
 def test_a_folded_field_stays_on_the_gpu(frames: int):
     field = make_field(frames, 0)
-    field.place_anchors(torch.rand(0, 3), torch.rand(0))
+    field.place_anchors(torch.rand(0, 3), torch.rand(0), torch.rand(0))
     folded = ConditionedField(field, torch.rand(8))
     density, features = folded(torch.rand(7, 3))
     assert density.device == features.device == CUDA

@@ -1,5 +1,6 @@
 """The radiance field: contraction, heads, dependence on z, storage."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -62,7 +63,8 @@ def test_frames_are_folded_into_what_encoding_a_point_in_each_of_them_gives(fiel
     for frame in range(6):
         y = x - origins[:, None, frame]
         encoded += [y, *waves(y, field.octave_weights)]
-    hidden = torch.cat([*encoded, field.static_features(x)], dim=-1)
+    looked_up = field.static_features(x), field.object_planes(x, origins[:, :2])
+    hidden = torch.cat([*encoded, *looked_up], dim=-1)
     for i, layer in enumerate(field.layers):
         hidden = layer(hidden)
         if str(i) in field.latent_layers:
@@ -76,7 +78,7 @@ def test_anchored_frames_start_where_they_are_put(field: RadianceField):
         field.frame_origins.weight.zero_()
     places = torch.tensor([[0.1, 0.7, 0.05], [0.3, 0.4, 0.2]])
     others = field.origins(torch.zeros(1, 5))[0, 2:]
-    field.place_anchors(places, torch.ones(2))
+    field.place_anchors(places, torch.ones(2), torch.ones(2))
     torch.testing.assert_close(field.origins(torch.zeros(1, 5))[0, :2], places)
     torch.testing.assert_close(field.origins(torch.zeros(1, 5))[0, 2:], others)
 
@@ -84,7 +86,7 @@ def test_anchored_frames_start_where_they_are_put(field: RadianceField):
 def test_anchored_frames_move_in_units_of_their_classes_ways(field: RadianceField):
     """So a step of the optimiser moves each by the same share of its way, however short that is."""
     spread, latent = torch.tensor([0.2, 0.004]), torch.randn(64, 5)
-    field.place_anchors(torch.zeros(2, 3), spread)
+    field.place_anchors(torch.zeros(2, 3), spread, torch.ones(2))
     before = field.origins(latent)
     optimiser = torch.optim.Adam(field.frame_origins.parameters(), lr=1e-3)
     field.origins(latent).square().sum().backward()
@@ -106,10 +108,23 @@ def test_a_field_of_before_units_has_its_origins_where_they_were(field: Radiance
 
 
 def test_units_are_kept_with_the_field(field: RadianceField, tmp_path: Path):
-    field.place_anchors(torch.rand(2, 3), torch.tensor([0.3, 0.01]))
+    field.place_anchors(torch.rand(2, 3), torch.tensor([0.3, 0.01]), torch.tensor([0.2, 0.05]))
     field.save(tmp_path)
     latent = torch.randn(3, 5)
     assert torch.equal(RadianceField.load(tmp_path).origins(latent), field.origins(latent))
+    assert torch.equal(RadianceField.load(tmp_path).object_planes.reach, field.object_planes.reach)
+
+
+def test_a_field_of_before_object_planes_has_none(tmp_path: Path):
+    config = FieldConfig(width=12, layers=3, frequencies=3, plane_size=6, object_plane_size=0, plane_features=2)
+    field = RadianceField(config, BOUNDS, latent=5, classes=4, teacher_features=3, anchors=2)
+    field.save(tmp_path)
+    described = json.loads((tmp_path / "field.json").read_text())
+    del described["config"]["object_plane_size"]
+    (tmp_path / "field.json").write_text(json.dumps(described))
+    loaded = RadianceField.load(tmp_path)
+    points, latent = points_and_latents()
+    assert loaded.object_planes is None and torch.equal(loaded(points, latent)[1], field(points, latent)[1])
 
 
 def test_heads_after_compositing_equal_heads_before(field: RadianceField):

@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
-import numpy as np
 import pytest
 import torch
 
@@ -166,7 +165,7 @@ def test_places_of_classes_are_those_that_the_field_would_be_pulled_to(tiny_data
 def test_places_of_classes_need_one_that_moves(tiny_dataset: Path):
     dataset = MultiViewDataset(tiny_dataset)
     config = PretrainConfig("data", "out", objective="anchors")
-    still = measure(dataset, config)._replace(anchors=Anchors((), np.zeros((0, 3)), np.zeros(0), np.zeros(0)))
+    still = measure(dataset, config)._replace(anchors=Anchors.of_nothing())
     with pytest.raises(UserError, match="shows no class that moves, which --objective anchors learns from"):
         PictureModule(config, dataset, still, EncoderRig.of_dataset(dataset))
 
