@@ -18,6 +18,7 @@ from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.files.versions import git_revision, package_versions
+from nerf_rl.pretrain.model.field_description import DESCRIPTION
 from tools.compare.pairs import ENDLESS
 from tools.compare.precision import processor
 from tools.readme_tables import markdown_table, replace_tables
@@ -59,7 +60,9 @@ def run(task: str, seed: int, arguments: argparse.Namespace) -> dict[str, Any]:
     command(encoder, "pretrain", "--config", RECIPE, "--data", str(data), "--out", str(encoder), *keys)
     keys = ["--ceiling_steps", CEILING_STEPS, "--seed", str(seed), "--overwrite", "true"]
     command(probe, "probe", "--encoder", str(encoder), "--data", str(data), "--out", str(probe), *keys)
-    return {"task": task, "seed": seed, **read_json(encoder / SUMMARY), **read_json(probe / SUMMARY)}
+    planes = read_json(encoder / DESCRIPTION)["config"]["object_plane_size"]
+    figures = {**read_json(encoder / SUMMARY), **read_json(probe / SUMMARY)}
+    return {"task": task, "seed": seed, "object_plane_size": planes, **figures}
 
 
 def made_by(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -79,6 +82,7 @@ def table(rows: list[dict[str, Any]]) -> str:
     header = [
         "task",
         "seed",
+        "planes that move",
         "steps",
         "PSNR [dB]",
         "depth error [cm]",
@@ -94,9 +98,9 @@ def table(rows: list[dict[str, Any]]) -> str:
             for name, figure in row["probe"].items()
         )
         depth = f"{100 * figures['depth_mae_m']:.1f}"
-        lines.append(
-            [row["task"], row["seed"], f"{row['steps']:,}", f"{figures['psnr_db']:.1f}", depth, things(row), columns]
-        )
+        planes = "yes" if row.get("object_plane_size") else "no"  # rows of before there were any do not tell
+        about = [row["task"], row["seed"], planes, f"{row['steps']:,}"]
+        lines.append([*about, f"{figures['psnr_db']:.1f}", depth, things(row), columns])
     return markdown_table(header, lines)
 
 
