@@ -8,7 +8,8 @@ from nerf_rl.files.json_files import read_json
 from nerf_rl.files.structure import array, mapping, number, whole
 
 WEIGHTS, DESCRIPTION = "field.safetensors", "field.json"
-FORMAT = 2
+FORMAT = 3
+_READABLE = (2, FORMAT)  # before 3 no field had planes that move
 _FIRST_FORMAT = 1  # of descriptions that name none
 
 _SIZE = whole(1, 2**20)
@@ -47,8 +48,8 @@ def read_field_description(folder: Path) -> dict[str, Any]:
     try:
         described = read_json(path)
         found = described.get("format", _FIRST_FORMAT) if isinstance(described, dict) else FORMAT
-        if found != FORMAT or isinstance(found, bool):
-            reason = f"its format is {found!r}, this version reads {FORMAT}"
+        if found not in _READABLE or isinstance(found, bool):
+            reason = f"its format is {found!r}, this version reads {' and '.join(map(str, _READABLE))}"
             raise MissingFileError("a radiance field for this version", path, reason, remedy)
         _STRUCTURE(described, "")
         if not described["bounds"]["near"] < described["bounds"]["far"]:

@@ -141,7 +141,8 @@ def test_a_changed_byte_of_a_weight_is_found(run: Path):
 
 
 @pytest.mark.parametrize(
-    "name, load, format, readable", [("encoder", Encoder.load, 3, "2 and 3"), ("field", RadianceField.load, 2, "2")]
+    "name, load, format, readable",
+    [("encoder", Encoder.load, 3, "2 and 3"), ("field", RadianceField.load, 3, "2 and 3")],
 )
 def test_an_unknown_format_is_told(run: Path, name: str, load: Any, format: int, readable: str):
     path = run / f"{name}.json"

@@ -121,6 +121,7 @@ def test_a_field_of_before_object_planes_has_none(tmp_path: Path):
     field.save(tmp_path)
     described = json.loads((tmp_path / "field.json").read_text())
     del described["config"]["object_plane_size"]
+    described["format"] = 2
     (tmp_path / "field.json").write_text(json.dumps(described))
     loaded = RadianceField.load(tmp_path)
     points, latent = points_and_latents()
