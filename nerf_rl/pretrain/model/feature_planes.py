@@ -6,6 +6,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 _REACH = 2.0  # of an object's planes, in root mean square distances of its points from their middle
+_LEAST_SIZE = 1e-6  # of an object, in the unit of points
 
 
 def noise(*shape: int) -> Tensor:
@@ -60,7 +61,7 @@ class ObjectPlanes(nn.Module):
         Args:
             sizes: root mean square distance of each object's points from their middle, in the unit of points.
         """
-        self.reach.copy_(_REACH * sizes)
+        self.reach.copy_(_REACH * sizes.clamp_min(_LEAST_SIZE))
 
     def forward(self, points: Float[Tensor, "B N 3"], origins: Float[Tensor, "B A 3"]) -> Float[Tensor, "B N F"]:
         """Return what the planes hold at points of B scenes, fading to zero at the faces of the boxes.

@@ -8,7 +8,7 @@ import torch
 
 from nerf_rl.datasets.storage.point_cloud import unproject
 from nerf_rl.datasets.storage.reader import MultiViewDataset
-from nerf_rl.pretrain.config import PretrainConfig
+from nerf_rl.pretrain.config import FieldConfig, PretrainConfig
 from nerf_rl.pretrain.data.anchors import (
     Anchors,
     FollowedMiddles,
@@ -140,3 +140,23 @@ def test_middles_that_are_kept_are_those_of_their_frames_however_they_were_drawn
         found, expected = kept.of(frames, *seen), visible_middles(*seen, classes)
         assert np.array_equal(found.seen, expected.seen[:, followed])
         assert np.allclose(found.place, expected.place[:, followed], atol=1e-6)
+
+
+@pytest.mark.parametrize("object_plane_size", [0, 8])
+def test_every_parameter_learns_once_and_at_its_rate(dataset: MultiViewDataset, object_plane_size: int):
+    """The encoder's and the frames' is the recipe's, on which what a probe reads depends most."""
+    field = FieldConfig(object_plane_size=object_plane_size)
+    config = PretrainConfig("data", "out", learning_rate=1e-3, field_rate=3.0, radiance_field=field)
+    data = MultiViewDataModule(dataset, config)
+    module = SnerlModule(config, dataset, data.statistics, data.rig)
+    groups = module.configure_optimizers()["optimizer"].param_groups
+    rates = {id(parameter): group["initial_lr"] for group in groups for parameter in group["params"]}
+    assert sum(len(group["params"]) for group in groups) == len(rates) == len(list(module.parameters()))
+    told = {name: rates[id(parameter)] for name, parameter in module.named_parameters()}
+    planes = {name for name in told if name.endswith("planes")}
+    assert len(planes) == 1 + bool(object_plane_size) and all(told[name] == pytest.approx(1e-2) for name in planes)
+    own = {name for name in told if name.startswith("encoder.") or "frame_origins" in name}
+    assert all(told[name] == pytest.approx(1e-3) for name in own)
+    rest = set(told) - planes - own
+    assert {"field.rgb_head.weight", "field.layers.0.weight"} < rest
+    assert all(told[name] == pytest.approx(3e-3) for name in rest)

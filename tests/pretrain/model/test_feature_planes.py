@@ -36,11 +36,16 @@ def test_what_planes_hold_goes_with_their_frame(thing: int) -> None:
     moved = ORIGINS.clone()
     moved[0, thing] += step
     points = around(ORIGINS[0, thing], float(planes.reach[thing]))
-    own = planes(points, ORIGINS)
-    apart = (points - ORIGINS[:, 1]).abs().amax(-1) > planes.reach[1] if thing == 0 else torch.ones(1, 200, dtype=bool)
-    apart &= ((points + step - moved[:, 1]).abs().amax(-1) > planes.reach[1]) if thing == 0 else apart
-    assert apart.sum() > 150 and own[apart].abs().max() > 0.1
-    torch.testing.assert_close(planes(points + step, moved)[apart], own[apart], atol=1e-5, rtol=1e-4)
+
+    def in_the_smaller_box(points: torch.Tensor, origins: torch.Tensor) -> torch.Tensor:
+        return (points - origins[:, 1]).abs().amax(-1) < planes.reach[1]
+
+    own = torch.ones(1, 200, dtype=torch.bool)
+    if thing == 0:
+        own = ~(in_the_smaller_box(points, ORIGINS) | in_the_smaller_box(points + step, moved))
+    held = planes(points, ORIGINS)[own]
+    assert own.sum() > 150 and held.abs().max() > 0.1
+    torch.testing.assert_close(planes(points + step, moved)[own], held, atol=1e-5, rtol=1e-4)
 
 
 def test_a_point_is_looked_up_in_the_smallest_box_that_holds_it() -> None:
@@ -65,6 +70,12 @@ def test_planes_fade_at_the_faces_of_their_box_and_end_there() -> None:
         points = ORIGINS[:, 1] + share * planes.reach[1] * directions
         alone = torch.cat([torch.full((1, 1, 3), 100.0), ORIGINS[:, 1:]], dim=1)  # the other thing is far away
         assert planes(points[None], alone).abs().max() <= largest
+
+
+def test_a_thing_without_extent_is_looked_up_without_harm() -> None:
+    planes = make_planes((LARGE, 0.0))
+    points = torch.cat([ORIGINS[:, 1:], around(ORIGINS[0, 1], SMALL)], dim=1)
+    assert planes(points, ORIGINS).isfinite().all()
 
 
 def test_planes_learn_and_points_and_origins_do_not() -> None:
