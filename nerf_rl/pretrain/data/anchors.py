@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from nerf_rl.cameras.geometry import camera_position
+from nerf_rl.datasets.storage.point_cloud import unproject
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 
 BACKGROUND = 0
@@ -64,8 +65,11 @@ def visible_middles(
         intrinsics, camera_from_world: of the cameras.
         classes: number of classes.
     """
-    frames, views = depth.shape[:2]
-    rays = _rays(intrinsics, *depth.shape[2:])
+    frames, views, height, width = depth.shape
+    x = (np.arange(width) + 0.5 - intrinsics[:, :1, 2]) / intrinsics[:, :1, 0]
+    y = (np.arange(height) + 0.5 - intrinsics[:, 1:2, 2]) / intrinsics[:, 1:2, 1]
+    rays = np.ones((views, height, width, 3), np.float32)
+    rays[..., 0], rays[..., 1] = x[:, None], y[:, :, None]
     ids = np.arange(classes, dtype=np.uint8)[:, None]
     count = np.zeros((frames, views, classes))
     sums = np.zeros((frames, views, classes, 3))
@@ -97,23 +101,15 @@ def visible_sizes(
         depth, semantic, intrinsics, camera_from_world: as :func:`visible_middles` takes them.
         middles: that it has found; the size of what is not seen is zero.
     """
-    rays, classes = _rays(intrinsics, *depth.shape[2:]), middles.seen.shape[1]
+    classes = middles.seen.shape[1]
     count, squares = np.zeros(middles.seen.shape), np.zeros(middles.seen.shape)
     for frame, view in np.ndindex(*depth.shape[:2]):
-        pose, label = camera_from_world[frame, view], semantic[frame, view].ravel()
-        own = middles.place[frame] @ pose[:3, :3].T + pose[:3, 3]  # in the camera's axes
-        points = (depth[frame, view][..., None] * rays[view]).reshape(-1, 3)
-        squares[frame] += np.bincount(label, ((points - own[label]) ** 2).sum(1), classes)
-        count[frame] += np.bincount(label, minlength=classes)
+        label = semantic[frame, view]
+        points = unproject(depth[frame, view], intrinsics[view], camera_from_world[frame, view])
+        apart = ((points - middles.place[frame, label]) ** 2).sum(-1)
+        squares[frame] += np.bincount(label.ravel(), apart.ravel(), classes)
+        count[frame] += np.bincount(label.ravel(), minlength=classes)
     return np.where(middles.seen, np.sqrt(squares / np.maximum(count, 1)), 0.0)
-
-
-def _rays(intrinsics: Float[ndarray, "V 3 3"], height: int, width: int) -> Float[ndarray, "V H W 3"]:
-    """Return the rays of unit planar depth through all pixels, in each camera's axes."""
-    rays = np.ones((len(intrinsics), height, width, 3), np.float32)
-    rays[..., 0] = ((np.arange(width) + 0.5 - intrinsics[:, :1, 2]) / intrinsics[:, :1, 0])[:, None]
-    rays[..., 1] = ((np.arange(height) + 0.5 - intrinsics[:, 1:2, 2]) / intrinsics[:, 1:2, 1])[:, :, None]
-    return rays
 
 
 def choose_anchors(middles: Middles, sizes: Float[ndarray, "B C"], share: Float[ndarray, "C"]) -> Anchors:

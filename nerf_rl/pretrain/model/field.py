@@ -95,7 +95,7 @@ class RadianceField(nn.Module):
         super().__init__()
         self.config, self.bounds = config, bounds
         self.sizes = {"latent": latent, "classes": classes, "teacher_features": teacher_features, "anchors": anchors}
-        self.anchors, self.frames = anchors, anchors + config.free_frames
+        self.frames = anchors + config.free_frames
         self.planes = nn.Parameter(noise(3, config.plane_features, config.plane_size, config.plane_size))
         self.frame_origins = FrameOrigins(latent, self.frames) if self.frames else None
         self.object_planes: ObjectPlanes | None = None
@@ -183,7 +183,7 @@ class RadianceField(nn.Module):
                 ]
                 folded = folded + torch.cat(moved, dim=1)
                 shifts[0] = shifts[0] - torch.einsum("bfd,fdw->bw", origins, linear)[:, None]
-            return Folded(folded, shifts, origins[:, : self.anchors])
+            return Folded(folded, shifts, origins[:, : self.sizes["anchors"]])
 
     def evaluate(
         self, points: Float[Tensor, "B N 3"], folded: Folded
