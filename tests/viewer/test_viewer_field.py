@@ -1,5 +1,6 @@
 """The field as the viewer renders it, against the plain renderer; its surface, latents and probe."""
 
+import copy
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ from nerf_rl.datasets.storage.frames import Frame, read_frame
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import SamplingConfig
 from nerf_rl.pretrain.measures.linear_probe import encode_frames
+from nerf_rl.pretrain.model.conditioned_field import ConditionedField
+from nerf_rl.pretrain.model.field import RadianceField
 from nerf_rl.pretrain.model.ray_rendering import render_images
 from nerf_rl.viewer.field import progressive
 from nerf_rl.viewer.field.density_mesh import density_mesh, surface_net
@@ -30,16 +33,33 @@ def frame(encoded: EncodedDataset) -> Frame:
     return read_frame(encoded.dataset, 4)
 
 
-def test_the_finest_image_is_what_the_plain_renderer_gives(encoded: EncodedDataset, frame: Frame) -> None:
+def with_surfaces(field: RadianceField, latent: torch.Tensor) -> RadianceField:
+    """Return a field that is solid where the given one is densest, in a third of its box, and empty elsewhere."""
+    points = 2 * torch.rand(1, 4000, 3, generator=torch.Generator().manual_seed(0)) - 1
+    solid = copy.deepcopy(field).requires_grad_(False)
+    density = solid(solid.centre + solid.bounds.half_extent * points, latent[None])[0] / solid.density_scale
+    least = density.expm1().log().quantile(2 / 3)  # before softplus
+    solid.density_head.bias -= least
+    solid.density_head.weight *= 100.0
+    solid.density_head.bias *= 100.0
+    return solid
+
+
+@pytest.mark.parametrize("samples, apart", [(None, 0.1), (32, 0.05)])
+def test_the_finest_image_is_what_the_plain_renderer_gives(
+    encoded: EncodedDataset, frame: Frame, samples: int | None, apart: float
+) -> None:
+    """Of surfaces, as fields show that have been trained for longer than this one: the depth of fog is anybody's."""
     latent, rig = encoded.latent(frame), encoded.encoder.rig
+    field = with_surfaces(encoded.field, latent)
     camera = FreeCamera(rig.camera_from_world[0], np.deg2rad(45.0), 1.0)
-    images = list(render_progressively(encoded.folded(latent), camera, 12, [Picture(24, samples=32), Picture(48)]))
+    fine = Picture(24) if samples is None else Picture(24, samples)
+    images = list(render_progressively(ConditionedField(field, latent), camera, 12, [fine, Picture(48)]))
     assert [image.rgb.shape for image in images] == [(1, 12, 12, 3), (1, 24, 24, 3), (1, 48, 48, 3)]
-    plain = render_images(
-        encoded.field, latent, rig.intrinsics[:1], rig.camera_from_world[:1], 24, 24, SamplingConfig()
-    )
+    plain = render_images(field, latent, rig.intrinsics[:1], rig.camera_from_world[:1], 24, 24, SamplingConfig())
+    assert plain.depth.std() > 0.1  # there is something to be wrong about
     assert np.abs(images[1].rgb - plain.rgb).mean() < 0.03
-    assert np.abs(images[1].depth - plain.depth).mean() < 0.05
+    assert np.abs(images[1].depth - plain.depth).mean() < apart
 
 
 def test_a_newer_picture_cancels_the_finer_ones(encoded: EncodedDataset, frame: Frame) -> None:
