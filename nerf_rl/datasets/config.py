@@ -3,13 +3,14 @@
 import dataclasses
 import re
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Annotated
 
 from nerf_rl.arguments.limits import Count, Limits, Processes, Seed, ShareBelowOne, check_values
 from nerf_rl.cameras.rig_config import RigConfig
 from nerf_rl.errors import UserError
 from nerf_rl.machine.backends import check_backend
 from nerf_rl.rendering.class_config import ClassConfig
+from nerf_rl.rendering.quality import Quality
 
 MOST_PIXELS, MOST_SHARDS = 4096, 10**6
 _HOW_NOT_WHAT = ("out", "workers", "backend", "worker_timeout", "shard", "estimate", "resume", "overwrite")
@@ -73,8 +74,9 @@ class GenDatasetConfig:
     """environment steps of an episode"""
     size: Annotated[int, Limits(least=8, most=MOST_PIXELS)] = 64
     """image height and width [pixels]"""
-    quality: Literal["fast", "full"] = "fast"
-    """fast: meshes simplified for the image size; full: full meshes, shadows and multisampling"""
+    quality: Quality = "fast"
+    """fast: meshes simplified for the image size, a colour a pixel; smooth: four, averaged; full: full meshes, shadows
+    and multisampling"""
     rig: RigConfig = field(default_factory=RigConfig)
     """cameras"""
     behaviour: BehaviourConfig = field(default_factory=BehaviourConfig)

@@ -19,6 +19,7 @@ class OffscreenTarget:
         samples: of a pixel; 0: no multisampling.
 
     Attributes:
+        height, width: of one tile [pixels].
         tiles: how many there are.
 
     Raises:
@@ -26,7 +27,7 @@ class OffscreenTarget:
     """
 
     def __init__(self, model: mujoco.MjModel, height: int, width: int, tiles: int, shadow_map: int, samples: int):
-        self.has_shadows = shadow_map > 0
+        self.height, self.width, self.has_shadows = height, width, shadow_map > 0
         self._gl: mujoco.GLContext | None = mujoco.GLContext(1, 1)  # of a window's image, which nothing is drawn to
         self._gl.make_current()
         try:

@@ -8,12 +8,14 @@ Sites are not drawn, since goal markers would give the goal away.
 import copy
 from typing import NamedTuple
 
+import cv2
 import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int32, UInt8
 from numpy import ndarray
 
 from nerf_rl.cameras.geometry import camera_position
+from nerf_rl.errors import UserError
 from nerf_rl.machine.gl import renderer_name
 from nerf_rl.rendering.culling import FrustumCulling
 from nerf_rl.rendering.level_of_detail import simplify_meshes
@@ -23,6 +25,7 @@ _HIDDEN_GROUP = 5  # of geoms; not drawn by default
 _FULL_SHADOW_MAP = 4096
 _USUAL_PIXELS_PER_METRE = 1.0 / (2.0 * np.tan(np.deg2rad(22.5)) * 0.7)  # [1/m], times the image's height
 _FULL_SAMPLES = 4
+_SMOOTH_SIDE = 2  # pixels drawn, along each side, of one that is kept; half the time of multisampling in software
 
 
 class Views(NamedTuple):
@@ -42,8 +45,8 @@ class MultiViewRenderer:
         model: the simulated model; positions, colours and sizes are read from it at each call.
         height, width: of one view [pixels].
         views: the most cameras a call may have.
-        quality: ``full`` (shadows, reflections, multisampling), ``plain`` (none of these) or ``fast`` (as ``plain``,
-            with meshes simplified for the images).
+        quality: ``full`` (shadows, reflections, multisampling), ``plain`` (none of these), ``fast`` (as ``plain``,
+            with meshes simplified for the images) or ``smooth`` (as ``fast``, each pixel's colour the mean of four).
         pixels_per_metre: in an image, where a camera is nearest to what it shows; decides how far meshes are
             simplified; none: as for a camera with a field of view of 45 degrees, 0.7 m away.
 
@@ -63,11 +66,18 @@ class MultiViewRenderer:
         self._model, self._height, self._width, self._views = model, height, width, views
         usual = height * _USUAL_PIXELS_PER_METRE
         self.pixels_per_metre = usual if pixels_per_metre is None else pixels_per_metre
-        drawn = simplify_meshes(model, height, self.pixels_per_metre) if quality == "fast" else copy.deepcopy(model)
+        simple = quality in ("fast", "smooth")
+        drawn = simplify_meshes(model, height, self.pixels_per_metre) if simple else copy.deepcopy(model)
         self._plain = OffscreenTarget(drawn, height, width, views, shadow_map=0, samples=0)
-        self._fine = (
-            OffscreenTarget(drawn, height, width, views, _FULL_SHADOW_MAP, _FULL_SAMPLES) if quality == "full" else None
-        )
+        self._fine: OffscreenTarget | None = None
+        if quality == "full":
+            self._fine = OffscreenTarget(drawn, height, width, views, _FULL_SHADOW_MAP, _FULL_SAMPLES)
+        elif quality == "smooth":
+            sides = _SMOOTH_SIDE * height, _SMOOTH_SIDE * width
+            try:
+                self._fine = OffscreenTarget(drawn, *sides, views, shadow_map=0, samples=0)
+            except UserError as error:
+                raise UserError(f"{error}; smooth pictures are drawn {_SMOOTH_SIDE} times as large") from error
         self._at_once = self._plain.tiles if self._fine is None else min(self._plain.tiles, self._fine.tiles)
         self._option = mujoco.MjvOption()
         self._option.sitegroup[:] = 0
@@ -78,7 +88,8 @@ class MultiViewRenderer:
         self.far = float(model.vis.map.zfar * model.stat.extent)
         self._culling = FrustumCulling(model, height, width, self._near)
         self._target = self._plain  # what was drawn to last
-        self._rgb = np.empty((self._at_once * height, width, 3), np.uint8)
+        drawn_to = self._fine or self._plain
+        self._rgb = np.empty(self._at_once * drawn_to.height * drawn_to.width * 3, np.uint8)
         self._buffer_depth = np.empty((self._at_once * height, width), np.float32)
 
     @property
@@ -140,17 +151,18 @@ class MultiViewRenderer:
         buffer = self._tiles(self._buffer_depth, len(intrinsics))
         depth = self._near * self.far / (self._near + buffer * (self.far - self._near))
         opaque = np.array([view.opaque for view in drawn])
-        hidden |= opaque[:, None] & ~_shown(labels, self._model.ngeom)  # what is behind other geoms adds no colour
+        if self._fine is None:  # what is behind other geoms adds no colour
+            hidden |= opaque[:, None] & ~_shown(labels, self._model.ngeom)
         rgb = self._colours(data, intrinsics, camera_from_world, hidden)
         return Views(rgb, depth.astype(np.float32), labels)
 
     def _colours(
         self, data: mujoco.MjData, intrinsics: ndarray, camera_from_world: ndarray, hidden: Bool[ndarray, "V G"]
     ) -> UInt8[ndarray, "V H W 3"]:
-        if self._fine is None:
-            self._draw(self._plain, data, intrinsics, camera_from_world, hidden)
-        else:  # what a camera does not see may cast a shadow into its view
-            self._draw(self._fine, data, intrinsics, camera_from_world, np.zeros_like(hidden))
+        target = self._fine or self._plain
+        if target.has_shadows:  # what a camera does not see may cast a shadow into its view
+            hidden = np.zeros_like(hidden)
+        self._draw(target, data, intrinsics, camera_from_world, hidden)
         return self._read(len(intrinsics)).copy()
 
     def _draw(
@@ -171,7 +183,7 @@ class MultiViewRenderer:
         drawn = []
         for view in range(len(intrinsics)):
             self._update_scene(data, intrinsics[view], camera_from_world[view], hidden[view])
-            tile = mujoco.MjrRect(0, view * self._height, self._width, self._height)
+            tile = mujoco.MjrRect(0, view * target.height, target.width, target.height)
             mujoco.mjr_render(tile, self._scene, target.context)
             if labels:
                 drawn.append(self._drawn_geoms())
@@ -179,10 +191,14 @@ class MultiViewRenderer:
 
     def _read(self, count: int, depth: bool = False) -> UInt8[ndarray, "V H W 3"]:
         """Read back what was drawn last, into buffers that the next call overwrites; return the colours."""
-        rect = mujoco.MjrRect(0, 0, self._width, count * self._height)
-        buffer_depth = self._buffer_depth[: count * self._height] if depth else None
-        mujoco.mjr_readPixels(self._rgb[: count * self._height], buffer_depth, rect, self._target.context)
-        return self._tiles(self._rgb, count)
+        height, width = count * self._target.height, self._target.width
+        drawn = self._rgb[: height * width * 3].reshape(height, width, 3)
+        buffer_depth = self._buffer_depth[:height] if depth else None
+        mujoco.mjr_readPixels(drawn, buffer_depth, mujoco.MjrRect(0, 0, width, height), self._target.context)
+        if width == self._width:
+            return self._tiles(drawn, count)
+        kept = cv2.resize(drawn, (self._width, count * self._height), interpolation=cv2.INTER_AREA)
+        return self._tiles(kept, count)
 
     def _tiles(self, atlas: ndarray, count: int) -> ndarray:
         """Return the views, each with its top row first; OpenGL reads rows back from the bottom."""

@@ -23,18 +23,20 @@ def limit() -> Iterator[tuple[int, int]]:
     renderer.close()
 
 
-@pytest.mark.parametrize("quality", ["fast", "full"])
-def test_cameras_that_opengl_has_no_room_for_at_once_take_turns(quality: str, monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize("quality, side, rounding", [("fast", 48, 0), ("smooth", 96, 1), ("full", 48, 0)])
+def test_cameras_that_opengl_has_no_room_for_at_once_take_turns(
+    quality: str, side: int, rounding: int, monkeypatch: pytest.MonkeyPatch
+):
     model, data = loaded()
     intrinsics, poses = random_cameras(np.random.default_rng(13), 7, 48, (0.0, 0.0, 0.1))
     at_once = MultiViewRenderer(model, 48, 48, 7, quality)
     expected = at_once.render(data, intrinsics, poses)
     at_once.close()
-    monkeypatch.setattr(offscreen_target, "largest_image", lambda: (3 * 48 + 47, 48))
+    monkeypatch.setattr(offscreen_target, "largest_image", lambda: (3 * side + 47, side))
     in_turns = MultiViewRenderer(model, 48, 48, 7, quality)
     for count in (7, 6, 2):
         views = in_turns.render(data, intrinsics[:count], poses[:count])
-        np.testing.assert_array_equal(views.rgb, expected.rgb[:count])
+        np.testing.assert_allclose(views.rgb.astype(int), expected.rgb[:count], rtol=0, atol=rounding)
         np.testing.assert_array_equal(views.geom, expected.geom[:count])
         np.testing.assert_allclose(views.depth, expected.depth[:count], rtol=1e-5)
         np.testing.assert_array_equal(in_turns.render_rgb(data, intrinsics[:count], poses[:count]), views.rgb)
@@ -66,6 +68,9 @@ def test_a_view_larger_than_opengl_draws_is_answered_with_the_limit(limit: tuple
         MultiViewRenderer(model, rows + 1, 8, 1)
     with pytest.raises(UserError, match=f"a view of {columns + 1} x 8 pixels is larger"):
         MultiViewRenderer(model, 8, columns + 1, 1)
+    words = f"a view of 16 x {rows + 2} pixels .*; smooth pictures are drawn 2 times as large"
+    with pytest.raises(UserError, match=words):
+        MultiViewRenderer(model, rows // 2 + 1, 8, 1, "smooth")
 
 
 def test_a_dataset_of_views_larger_than_anything_is_refused_in_a_sentence(

@@ -262,7 +262,7 @@ def test_a_large_site_does_not_change_the_images_but_a_geom_in_its_place_does(bo
         assert unchanged == [kind == "site"] * 3
 
 
-@pytest.mark.parametrize("quality", ["fast", "full"])
+@pytest.mark.parametrize("quality", ["fast", "smooth", "full"])
 def test_colours_alone_are_those_of_the_complete_rendering(quality: str):
     model, data = loaded()
     renderer = MultiViewRenderer(model, 48, 48, 4, quality)
@@ -367,3 +367,36 @@ def test_full_quality_has_the_labels_of_full_meshes_and_casts_shadows():
     np.testing.assert_allclose(views["full"].depth, views["fast"].depth, rtol=1e-5)  # the floor is divided otherwise
     floor = views["fast"].geom == 0
     assert (views["full"].rgb[floor].mean(-1) < views["fast"].rgb[floor].mean(-1) - 5).mean() > 0.02
+
+
+def test_a_smooth_pixel_is_the_mean_of_four_and_has_the_label_and_depth_of_its_centre():
+    model, data = loaded(f"<geom {MARKER}/>")
+    intrinsics, poses = random_cameras(np.random.default_rng(13), 2, 48, (0.0, 0.0, 0.1))
+    finer = intrinsics.copy()
+    finer[:, :2] *= 2
+    views = {}
+    for name, size, seen_by in (("smooth", 48, intrinsics), ("fast", 48, intrinsics), ("finer", 96, finer)):
+        renderer = MultiViewRenderer(model, size, size, 2, "smooth" if name == "smooth" else "fast")
+        views[name] = renderer.render(data, seen_by, poses)
+        renderer.close()
+    means = views["finer"].rgb.reshape(2, 48, 2, 48, 2, 3).mean((2, 4))
+    assert np.abs(views["smooth"].rgb - means).max() <= 1  # which is rounded
+    np.testing.assert_array_equal(views["smooth"].geom, views["fast"].geom)
+    np.testing.assert_array_equal(views["smooth"].depth, views["fast"].depth)
+    assert (np.abs(views["smooth"].rgb.astype(int) - views["fast"].rgb).max(-1) > 20).mean() > 0.01
+
+
+def test_a_thing_thinner_than_a_pixel_does_not_flicker_in_smooth_pictures_as_it_moves():
+    rod = '<geom type="capsule" size="0.004" fromto="{x} -0.4 0.5 {x} 0.4 0.5" rgba="1 1 1 1"/>'  # 0.4 pixels wide
+    intrinsics = cameras.intrinsics_from_fovy(45.0, 48, 48)[None]
+    pose = cameras.look_at(np.array([0.0, 0.0, 0.5]), 1.0, 90.0, -80.0)[None]
+    flicker = {}
+    for quality in ("fast", "smooth"):
+        brightness = []
+        for x in np.linspace(0, 0.02, 7):
+            model, data = loaded(rod.format(x=x))
+            renderer = MultiViewRenderer(model, 48, 48, 1, quality)
+            brightness.append(renderer.render(data, intrinsics, pose).rgb.mean())
+            renderer.close()
+        flicker[quality] = np.std(brightness)
+    assert flicker["smooth"] < 0.5 * flicker["fast"]

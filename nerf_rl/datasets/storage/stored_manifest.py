@@ -6,12 +6,13 @@ of that name may be a link: where the bytes of a dataset lie is for the owner of
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from nerf_rl.cameras.rig_config import MOST_CAMERAS
 from nerf_rl.cameras.tracking_frame import TRACKING_FRAME_STRUCTURE
 from nerf_rl.errors import MissingFileError
 from nerf_rl.files.structure import array, listing, mapping, number, one_of, optional, table, text, whole
+from nerf_rl.rendering.quality import Quality
 
 LARGEST_IMAGE = 16384  # [pixels]
 MOST_CLASSES = 256  # labels are bytes
@@ -47,7 +48,7 @@ def content_keys(value: Any, place: str) -> None:
 def _config(value: Any, place: str) -> None:
     content_keys(value, place)
     if IMPORTED_FROM not in value:
-        mapping({"quality": one_of("fast", "full")}, others=True)(value, place)
+        mapping({"quality": one_of(*get_args(Quality))}, others=True)(value, place)
 
 
 MANIFEST_STRUCTURE = mapping(

@@ -1,7 +1,7 @@
 """Finding an encoder and reading its description, without loading weights; PyTorch is imported for checkpoints only."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from nerf_rl.cameras.rig_config import MOST_CAMERAS
 from nerf_rl.cameras.tracking_frame import TRACKING_FRAME_STRUCTURE
@@ -10,6 +10,7 @@ from nerf_rl.errors import MissingFileError
 from nerf_rl.files.json_files import read_json
 from nerf_rl.files.structure import array, flag, listing, mapping, number, one_of, optional, table, text, whole
 from nerf_rl.hub.fetch import resolve
+from nerf_rl.rendering.quality import Quality
 
 WEIGHTS = "encoder.safetensors"
 DESCRIPTION = "encoder.json"
@@ -48,7 +49,7 @@ _STRUCTURE = mapping(
             },
             {"tracking_frame": TRACKING_FRAME_STRUCTURE},
         ),
-        "scene": mapping({"name": text(), "quality": one_of("fast", "full")}, {"detail": optional(number(0.0))}),
+        "scene": mapping({"name": text(), "quality": one_of(*get_args(Quality))}, {"detail": optional(number(0.0))}),
     },
     {
         "landmarks": whole(0, _MOST_LANDMARKS),
