@@ -1,8 +1,10 @@
 """Compare our multi-view rendering with MuJoCo's own renderer, in speed and in what it shows.
 
 Stock rendering takes three passes a view (colours, depth, segmentation) with the scene's shadows and multisampling.
-Ours is measured with simplified meshes (`fast`) and with full meshes without shadows and multisampling (`plain`). All
-three render the same states from the same cameras in one process, in one thread, and take turns; times are medians.
+Ours is measured with simplified meshes (`fast`), the same with four colours a pixel (`smooth`), and with full meshes
+without shadows and multisampling (`plain`). All four render the same states from the same cameras in one process, in
+one thread, and take turns; times are medians. How much a picture flickers is told by how far it is from the mean of 64
+colours a pixel of full meshes.
 Run from a checkout's root:
 
     .venv/bin/python -m tools.bench.render --json datasets/results/render.json
@@ -13,6 +15,7 @@ import os
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 os.environ["LP_NUM_THREADS"] = "0"  # before OpenGL is loaded: no thread beside the one that draws
@@ -36,7 +39,9 @@ from nerf_rl.rendering.semantics import semantic_classes
 from nerf_rl.scenes.base import Scene
 from nerf_rl.scenes.make import make_scene
 
-REPEATS = {"stock": 2, "fast": 4, "plain": 4}  # in a turn
+REPEATS = {"stock": 2, "fast": 4, "smooth": 4, "plain": 4}  # in a turn
+OURS = tuple(name for name in REPEATS if name != "stock")
+FINER = 8  # colours a pixel, along each side, whose mean is what a picture should show
 
 
 def main() -> None:
@@ -60,7 +65,7 @@ def main() -> None:
         "packages": package_versions(),
         "cpus": os.cpu_count(),
     }
-    for name in ("ratio", "ratio_full_mesh", "mask_iou", "rgb_psnr_db", "milliseconds_per_view"):
+    for name in ("ratio", "ratio_full_mesh", "mask_iou", "rgb_psnr_db", "psnr_db_of_means", "milliseconds_per_view"):
         print(name, result[name])
     if arguments.json:
         arguments.json.parent.mkdir(parents=True, exist_ok=True)
@@ -74,17 +79,19 @@ def measure(scene: Scene, size: int, rounds: int, seed: int) -> dict:
     scene.env.reset(seed=seed)
     intrinsics, poses = rig.intrinsics, rig.poses(data, np.random.default_rng(seed))
     sizes, sharpness = (size, size, len(poses)), rig.pixels_per_metre(data)
-    fast, plain = (MultiViewRenderer(model, *sizes, quality, sharpness) for quality in ("fast", "plain"))
+    ours = {quality: MultiViewRenderer(model, *sizes, quality, sharpness) for quality in OURS}
+    finer = MultiViewRenderer(model, FINER * size, FINER * size, len(poses), "plain", FINER * sharpness)
+    closer = np.concatenate([FINER * intrinsics[:, :2], intrinsics[:, 2:]], axis=1)
     stock = StockRenderer(model, size, poses)
     ways: dict[str, Callable[[], object]] = {
         "stock": lambda: stock.render(data),
-        "fast": lambda: fast.render(data, intrinsics, poses),
-        "plain": lambda: plain.render(data, intrinsics, poses),
+        **{name: partial(renderer.render, data, intrinsics, poses) for name, renderer in ours.items()},
     }
     classes = semantic_classes(model, scene.parts)
     labels: dict[str, list[ndarray]] = {"fast": [], "plain": []}
     times: dict[str, list[float]] = {name: [] for name in ways}
-    errors = []
+    errors: list[float] = []
+    flicker: dict[str, list[float]] = {name: [] for name in OURS}
     rng = np.random.default_rng(seed)
     for turn in range(rounds + 1):
         act(scene, rng)
@@ -99,16 +106,22 @@ def measure(scene: Scene, size: int, rounds: int, seed: int) -> dict:
         for name, found in labels.items():
             found.append(classes.label(seen[name].geom))
         errors.append(mean_squared_error(seen["fast"].rgb, seen["plain"].rgb))
-    gl_renderer = fast.gl_renderer
-    for renderer in (fast, plain, stock):
+        means = block_means(finer.render_rgb(data, closer, poses))
+        for name, found in flicker.items():
+            found.append(mean_squared_error(seen[name].rgb, means))
+    gl_renderer = finer.gl_renderer
+    for renderer in (*ours.values(), finer, stock):
         renderer.close()
     milliseconds = {name: round(1e3 * float(np.median(values)), 3) for name, values in times.items()}
     simplified, full = (torch.from_numpy(np.stack(labels[name])).long() for name in ("fast", "plain"))
+    iou = multiclass_jaccard_index(simplified, full, len(classes.names), average="none")
     return {
         "ratio": round(milliseconds["stock"] / milliseconds["fast"], 2),
         "ratio_full_mesh": round(milliseconds["stock"] / milliseconds["plain"], 2),
+        "ratio_smooth": round(milliseconds["stock"] / milliseconds["smooth"], 2),
         "mask_iou": round(float(multiclass_jaccard_index(simplified, full, len(classes.names))), 4),
         "rgb_psnr_db": round(psnr_db(float(np.mean(errors))), 2),
+        "psnr_db_of_means": {name: round(psnr_db(float(np.mean(found))), 2) for name, found in flicker.items()},
         "milliseconds_per_view": milliseconds,
         "class_iou": {name: round(float(value), 4) for name, value in zip(classes.names, iou, strict=True)},
         "views": len(poses),
@@ -126,6 +139,12 @@ def act(scene: Scene, rng: np.random.Generator) -> None:
         action = rng.uniform(space.low, space.high) if policy is None else policy(observation)  # type: ignore[attr-defined]
         noisy = np.clip(action + 0.3 * rng.standard_normal(space.shape), space.low, space.high)  # type: ignore[attr-defined]
         observation, *_ = scene.env.step(noisy.astype(np.float32))
+
+
+def block_means(pictures: ndarray) -> ndarray:
+    """Return pictures [V, H, W, 3] in which each pixel is the mean of FINER x FINER."""
+    views, height, width, _ = pictures.shape
+    return pictures.reshape(views, height // FINER, FINER, width // FINER, FINER, 3).mean((2, 4))
 
 
 def mean_squared_error(first: ndarray, second: ndarray) -> float:
