@@ -18,6 +18,7 @@ from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.files.versions import git_revision, package_versions
+from nerf_rl.pretrain.model.encoder_file import read_description
 from nerf_rl.pretrain.model.field_description import DESCRIPTION
 from tools.compare.pairs import ENDLESS
 from tools.compare.precision import processor
@@ -61,8 +62,9 @@ def run(task: str, seed: int, arguments: argparse.Namespace) -> dict[str, Any]:
     keys = ["--ceiling_steps", CEILING_STEPS, "--seed", str(seed), "--overwrite", "true"]
     command(probe, "probe", "--encoder", str(encoder), "--data", str(data), "--out", str(probe), *keys)
     planes = read_json(encoder / DESCRIPTION)["config"]["object_plane_size"]
+    quality = read_description(encoder)[1]["scene"]["quality"]
     figures = {**read_json(encoder / SUMMARY), **read_json(probe / SUMMARY)}
-    return {"task": task, "seed": seed, "object_plane_size": planes, **figures}
+    return {"task": task, "seed": seed, "quality": quality, "object_plane_size": planes, **figures}
 
 
 def made_by(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -82,6 +84,7 @@ def table(rows: list[dict[str, Any]]) -> str:
     header = [
         "task",
         "seed",
+        "pictures",
         "planes that move",
         "steps",
         "PSNR [dB]",
@@ -99,7 +102,7 @@ def table(rows: list[dict[str, Any]]) -> str:
         )
         depth = f"{100 * figures['depth_mae_m']:.1f}"
         planes = "yes" if row.get("object_plane_size") else "no"  # rows of before there were any do not tell
-        about = [row["task"], row["seed"], planes, f"{row['steps']:,}"]
+        about = [row["task"], row["seed"], row.get("quality", "fast"), planes, f"{row['steps']:,}"]
         lines.append([*about, f"{figures['psnr_db']:.1f}", depth, things(row), columns])
     return markdown_table(header, lines)
 
