@@ -102,7 +102,7 @@ def test_a_folder_of_someone_else_is_not_overwritten(
         (["--scene", "nowhere"], "unknown scene 'nowhere'; available: metaworld/TASK"),
         (["--classes", "[{name: window, pattern: glass}]"], "class 'window': no geom matches 'glass'"),
         (["--frames_per_episode", "14"], "--frames_per_episode 14"),
-        (["--quality", "best"], "unknown quality 'best' (did you mean fast?); available: fast, full"),
+        (["--quality", "best"], "unknown quality 'best' (did you mean fast?); available: fast, full, smooth"),
         (["--rig.follow_axes", "up"], "unknown rig.follow_axes 'up'; available: xy, xyz"),
     ],
 )

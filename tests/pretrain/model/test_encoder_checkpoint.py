@@ -176,7 +176,7 @@ def test_a_description_of_old_without_a_format_is_told_apart(run: Path, name: st
         (("rig", "height"), "24", "rig.height is '24' instead of a whole number"),
         (("rig", "intrinsics"), [[1, 2], [3]], "rig.intrinsics.0 is a list instead of a list of 3"),
         (("rig", "names"), ["left"], "its cameras have different numbers of names, intrinsics and poses"),
-        (("scene", "quality"), "best", "scene.quality is 'best' instead of one of fast, full"),
+        (("scene", "quality"), "best", "scene.quality is 'best' instead of one of fast, smooth, full"),
     ],
 )
 def test_a_description_that_does_not_fit_is_told_before_anything_is_allocated(
