@@ -11,6 +11,7 @@ episodes: 4
 frames_per_episode: 3
 episode_steps: 12
 size: 24
+quality: smooth
 rig:
   cameras:
     - {name: top, azimuth: 90, elevation: -70}

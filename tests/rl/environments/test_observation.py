@@ -19,10 +19,15 @@ SIZE = 64
 
 
 @pytest.mark.parametrize(
-    "name, closeness",
-    [("datasets/scenes/blocks.xml", 3.0), ("gym/HalfCheetah-v5", 1.0), ("metaworld/drawer-open-v3", 1.0)],
+    "name, closeness, quality",
+    [
+        ("datasets/scenes/blocks.xml", 3.0, "fast"),
+        ("gym/HalfCheetah-v5", 1.0, "fast"),
+        ("metaworld/drawer-open-v3", 1.0, "fast"),
+        ("metaworld/drawer-open-v3", 1.0, "smooth"),
+    ],
 )
-def test_the_encoder_sees_after_each_step_what_a_dataset_records(name: str, closeness: float):
+def test_the_encoder_sees_after_each_step_what_a_dataset_records(name: str, closeness: float, quality: str):
     scene = make_scene(name)
     scene.env.reset(seed=1)
     rig = make_rig(RigConfig(), SIZE, scene)
@@ -32,10 +37,10 @@ def test_the_encoder_sees_after_each_step_what_a_dataset_records(name: str, clos
     assert (rig.tracking_frame is not None) == name.startswith("gym/")
     encoder_rig = EncoderRig(rig.names, intrinsics, poses, SIZE, SIZE, rig.tracking_frame)
     encoder = Encoder(EncoderConfig(latent=4, patch=8, channels=[8], hidden=8), encoder_rig)
-    encoder.pixels_per_metre = rig.pixels_per_metre(scene.render_data())
+    encoder.quality, encoder.pixels_per_metre = quality, rig.pixels_per_metre(scene.render_data())
     env = LatentObservation(scene.env, encoder.eval())
     env.reset(seed=1)
-    recorder = MultiViewRenderer(scene.model, SIZE, SIZE, len(rig.names), "fast", encoder.pixels_per_metre)
+    recorder = MultiViewRenderer(scene.model, SIZE, SIZE, len(rig.names), quality, encoder.pixels_per_metre)
     propagated = mujoco.MjData(scene.model)
     rng = np.random.default_rng(2)
     lagging = 0
