@@ -11,6 +11,7 @@ from typing import Any
 
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import write_json
+from nerf_rl.pretrain.model.encoder_file import read_description
 from tools.compare.precision import processor
 from tools.readme_tables import markdown_table, replace_tables
 from tools.record.demo import read_result
@@ -23,23 +24,37 @@ def main() -> None:
     """Copy summaries with their provenance; write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("runs", nargs="+", type=Path, help="finished runs of pretrain")
-    runs = [read_result(run) for run in parser.parse_args().runs]
+    runs = [
+        {**read_result(run), "quality": read_description(run)[1]["scene"]["quality"]}
+        for run in parser.parse_args().runs
+    ]
     write_json(RESULT, {"processor": processor(), "runs": runs})
     write_text(README, replace_tables(README.read_text(), {"full-size": table(runs)}))
 
 
 def table(runs: list[dict[str, Any]]) -> str:
     """Return a row for each run and each role of cameras; probes stand beside the encoder's own cameras."""
-    header = ["steps", "training [min]", "seen from", "PSNR [dB]", "SSIM", "mIoU", "depth error [cm]", "probe [mm]"]
+    header = [
+        "pictures",
+        "steps",
+        "training [min]",
+        "seen from",
+        "PSNR [dB]",
+        "SSIM",
+        "mIoU",
+        "depth error [cm]",
+        "probe [mm]",
+    ]
     rows = []
     for run in runs:
         probe = ", ".join(
             f"{name} {figure['rmse_mm']:.1f}" for name, figure in run["probe"].items() if not name.startswith("goal")
         )
         others = run["validation_other_cameras"]
-        rows.append([f"{run['steps']:,}", f"{run['training_seconds'] / 60:.0f}", "the encoder's cameras"])
+        drawn = run.get("quality", "fast")  # runs of before there were others do not tell
+        rows.append([drawn, f"{run['steps']:,}", f"{run['training_seconds'] / 60:.0f}", "the encoder's cameras"])
         rows[-1] += [*pictures(run["validation"]), probe]
-        rows += [["", "", told, *pictures(others[role]), ""] for role, told in _ROLES.items() if role in others]
+        rows += [["", "", "", told, *pictures(others[role]), ""] for role, told in _ROLES.items() if role in others]
     return markdown_table(header, rows)
 
 
