@@ -5,6 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
+from nerf_rl.cameras.geometry import camera_position
 from nerf_rl.scenes.workspace import DRAWN_GROUPS
 
 _ZERO = 1e-9
@@ -56,6 +57,15 @@ class FrustumCulling:
         away[view, geom] = _apart(np.concatenate([box, across], 1), centre[view, geom], box, half[geom], edges)
         result[:, tested] = away
         return result
+
+
+def planes_from_behind(
+    model: mujoco.MjModel, data: mujoco.MjData, camera_from_world: Float[ndarray, "V 4 4"]
+) -> Bool[ndarray, "V G"]:
+    """Tell which geoms are planes whose back a camera looks at, where MuJoCo's rays do not hit them."""
+    normals = data.geom_xmat.reshape(-1, 3, 3)[..., 2]
+    above = ((camera_position(camera_from_world)[:, None] - data.geom_xpos) * normals).sum(-1)
+    return (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & (above < 0)
 
 
 def _apart(

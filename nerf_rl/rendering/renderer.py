@@ -17,7 +17,7 @@ from numpy import ndarray
 from nerf_rl.cameras.geometry import camera_position
 from nerf_rl.errors import UserError
 from nerf_rl.machine.gl import renderer_name
-from nerf_rl.rendering.culling import FrustumCulling
+from nerf_rl.rendering.culling import FrustumCulling, planes_from_behind
 from nerf_rl.rendering.level_of_detail import simplify_meshes
 from nerf_rl.rendering.offscreen_target import OffscreenTarget
 
@@ -46,7 +46,9 @@ class MultiViewRenderer:
         height, width: of one view [pixels].
         views: the most cameras a call may have.
         quality: ``full`` (shadows, reflections, multisampling), ``plain`` (none of these), ``fast`` (as ``plain``,
-            with meshes simplified for the images) or ``smooth`` (as ``fast``, each pixel's colour the mean of four).
+            with meshes simplified for the images) or ``smooth`` (as ``fast``, with each pixel's colour the mean of
+            four, and labels and depth as MuJoCo's rays find them: in a gap of a mesh they hit its inside, where
+            OpenGL, which does not draw insides, shows what is behind the mesh).
         pixels_per_metre: in an image, where a camera is nearest to what it shows; decides how far meshes are
             simplified; none: as for a camera with a field of view of 45 degrees, 0.7 m away.
 
@@ -87,6 +89,7 @@ class MultiViewRenderer:
         self._near = float(model.vis.map.znear * model.stat.extent)
         self.far = float(model.vis.map.zfar * model.stat.extent)
         self._culling = FrustumCulling(model, height, width, self._near)
+        self._labels_insides = quality == "smooth"
         self._target = self._plain  # what was drawn to last
         drawn_to = self._fine or self._plain
         self._rgb = np.empty(self._at_once * drawn_to.height * drawn_to.width * 3, np.uint8)
@@ -144,7 +147,10 @@ class MultiViewRenderer:
 
     def _render_at_once(self, data: mujoco.MjData, intrinsics: ndarray, camera_from_world: ndarray) -> Views:
         hidden = self._culling.outside(data, intrinsics, camera_from_world)
-        drawn = self._draw(self._plain, data, intrinsics, camera_from_world, hidden, labels=True)
+        unlabelled = hidden
+        if self._labels_insides:  # planes have none
+            unlabelled = hidden | planes_from_behind(self._model, data, camera_from_world)
+        drawn = self._draw(self._plain, data, intrinsics, camera_from_world, unlabelled, labels=True)
         colours = self._read(len(intrinsics), depth=True)
         segment = colours[..., 0].astype(np.int32) | colours[..., 1].astype(np.int32) << 8
         labels = np.stack([view.geom_of_segment[ids] for view, ids in zip(drawn, segment, strict=True)])
@@ -180,6 +186,7 @@ class MultiViewRenderer:
         flags = self._scene.flags
         flags[mujoco.mjtRndFlag.mjRND_SHADOW] = flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = target.has_shadows
         flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = labels
+        flags[mujoco.mjtRndFlag.mjRND_CULL_FACE] = not (labels and self._labels_insides)
         drawn = []
         for view in range(len(intrinsics)):
             self._update_scene(data, intrinsics[view], camera_from_world[view], hidden[view])
