@@ -75,8 +75,8 @@ class GenDatasetConfig:
     size: Annotated[int, Limits(least=8, most=MOST_PIXELS)] = 64
     """image height and width [pixels]"""
     quality: Quality = "fast"
-    """fast: meshes simplified for the image size, a colour a pixel; smooth: four, averaged; full: full meshes, shadows
-    and multisampling"""
+    """fast: meshes simplified for the image size, a colour a pixel; smooth: four, averaged, and no holes in labels and
+    depth; full: full meshes, shadows and multisampling"""
     rig: RigConfig = field(default_factory=RigConfig)
     """cameras"""
     behaviour: BehaviourConfig = field(default_factory=BehaviourConfig)

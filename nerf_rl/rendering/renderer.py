@@ -148,7 +148,7 @@ class MultiViewRenderer:
     def _render_at_once(self, data: mujoco.MjData, intrinsics: ndarray, camera_from_world: ndarray) -> Views:
         hidden = self._culling.outside(data, intrinsics, camera_from_world)
         unlabelled = hidden
-        if self._labels_insides:  # planes have none
+        if self._labels_insides:  # a plane has no inside, but would be drawn from behind as well
             unlabelled = hidden | planes_from_behind(self._model, data, camera_from_world)
         drawn = self._draw(self._plain, data, intrinsics, camera_from_world, unlabelled, labels=True)
         colours = self._read(len(intrinsics), depth=True)

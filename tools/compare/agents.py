@@ -44,7 +44,6 @@ CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]
 TWO_UPDATES = ["--learner.updates_per_step", "2"]
 HALF_BATCHES = [*TWO_UPDATES, "--learner.batch_size", "64"]
 FASTER_ACTOR = ["--learner.actor_rate", "6e-4", "--learner.tau", "0.02"]
-SHORTER_NOISE = ["--noise.decay_steps", "10000"]
 BLIND = ["--control", "blind"]
 DEMONSTRATIONS = ["--config", "rl/demonstrations.yaml"]
 ARMS = {
@@ -64,12 +63,6 @@ ARMS = {
         *HALF_BATCHES,
     ],
     "strong self-imitation and curriculum, faster actor": [*STRONG_IMITATION, *CURRICULUM, *FASTER_ACTOR],
-    "strong self-imitation and curriculum, faster actor, shorter noise": [
-        *STRONG_IMITATION,
-        *CURRICULUM,
-        *FASTER_ACTOR,
-        *SHORTER_NOISE,
-    ],
     "blind": BLIND,
     "blind, strong self-imitation and curriculum": [*BLIND, *STRONG_IMITATION, *CURRICULUM],
     "blind, prioritised self-imitation and curriculum": [*BLIND, *PRIORITISED_IMITATION, *CURRICULUM],
@@ -84,12 +77,6 @@ ARMS = {
         *STRONG_IMITATION,
         *CURRICULUM,
         *HALF_BATCHES,
-    ],
-    "blind, strong self-imitation and curriculum, faster actor": [
-        *BLIND,
-        *STRONG_IMITATION,
-        *CURRICULUM,
-        *FASTER_ACTOR,
     ],
     "3 demonstrations": DEMONSTRATIONS,
     "blind, 3 demonstrations": [*DEMONSTRATIONS, *BLIND],
