@@ -1,7 +1,7 @@
 """Tables in READMEs and pages, between markers that name them."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
@@ -16,6 +16,11 @@ def replace_tables(text: str, tables: dict[str, str]) -> str:
         pattern = rf"(<!-- table: {name} -->\n).*?(<!-- end -->)"
         text = re.sub(pattern, lambda match, table=table: f"{match[1]}{table}\n{match[2]}", text, flags=re.DOTALL)
     return text
+
+
+def probe_errors(probe: Mapping[str, Mapping[str, float]]) -> str:
+    """Return the RMSE [mm] of every column that a linear probe reads, but for goals."""
+    return ", ".join(f"{name} {figure['rmse_mm']:.1f}" for name, figure in probe.items() if not name.startswith("goal"))
 
 
 def task_name(scene: str) -> str:

@@ -24,7 +24,7 @@ from nerf_rl.pretrain.config import PretrainConfig
 from tools.compare.pairs import ENDLESS
 from tools.compare.precision import processor
 from tools.compare.tasks import command
-from tools.readme_tables import markdown_table, replace_tables
+from tools.readme_tables import markdown_table, probe_errors, replace_tables
 
 RESULT, README = Path("pretrain/results/speed.json"), Path("pretrain/README.md")
 
@@ -74,9 +74,7 @@ def table(runs: list[dict[str, Any]]) -> str:
     rows = []
     for row in runs:
         figures, least = row["validation"], runs[-1]["rays_per_second"]
-        probe = ", ".join(
-            f"{name} {figure['rmse_mm']:.1f}" for name, figure in row["probe"].items() if not name.startswith("goal")
-        )
+        probe = probe_errors(row["probe"])
         speed = f"{row['rays_per_second']:,.0f} ({row['rays_per_second'] / least:.0f} x)"
         quality = f"{figures['psnr_db']:.1f}", f"{figures['miou']:.2f}", f"{100 * figures['depth_mae_m']:.1f}"
         rows.append([Path(row["recipe"]).stem, speed, f"{row['peak_rss_mb']:.0f}", *quality, probe])

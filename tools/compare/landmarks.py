@@ -18,7 +18,7 @@ from nerf_rl.files.versions import git_revision, package_versions
 from tools.compare.pairs import RECIPE, train_pair
 from tools.compare.precision import processor
 from tools.compare.tasks import things
-from tools.readme_tables import markdown_table, replace_tables
+from tools.readme_tables import markdown_table, probe_errors, replace_tables
 
 RESULT, README = Path("pretrain/results/landmarks.json"), Path("pretrain/README.md")
 ARMS = {"without": ["--encoder.landmarks", "false"], "with": ["--encoder.landmarks", "true"]}
@@ -52,9 +52,7 @@ def table(rows: list[dict[str, Any]]) -> str:
     lines = []
     for row in rows:
         figures = row["validation"]
-        columns = ", ".join(
-            f"{name} {figure['rmse_mm']:.1f}" for name, figure in row["probe"].items() if not name.startswith("goal")
-        )
+        columns = probe_errors(row["probe"])
         task = row["scene"].removeprefix("metaworld/").removesuffix("-v3")
         quality = f"{figures['psnr_db']:.1f}", f"{100 * figures['depth_mae_m']:.1f}"
         lines.append([task, row["seed"], row["arm"], f"{row['steps']:,}", *quality, things(row), columns])

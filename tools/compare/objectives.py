@@ -17,7 +17,7 @@ from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
 from tools.compare.pairs import ENDLESS, RECIPE
 from tools.compare.tasks import command, made_by
-from tools.readme_tables import markdown_table, replace_tables, task_name
+from tools.readme_tables import markdown_table, probe_errors, replace_tables, task_name
 from tools.record import choices
 
 RESULT, README = Path("pretrain/results/objectives.json"), Path("pretrain/README.md")
@@ -78,9 +78,7 @@ def table(rows: list[dict[str, Any]]) -> str:
     lines = []
     for row in rows:
         figures = row["validation"]
-        probe = ", ".join(
-            f"{name} {figure['rmse_mm']:.1f}" for name, figure in row["probe"].items() if not name.startswith("goal")
-        )
+        probe = probe_errors(row["probe"])
         shown = (f"{figures['psnr_db']:.1f}", f"{figures['miou']:.2f}") if figures else ("", "")
         budget = f"{row['minutes']:g}"
         lines.append(

@@ -18,7 +18,7 @@ from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.versions import git_revision, package_versions
 from tools.compare.pairs import RECIPE, train_pair
-from tools.readme_tables import markdown_table, replace_tables
+from tools.readme_tables import markdown_table, probe_errors, replace_tables
 
 RESULT, README = Path("pretrain/results/precision.json"), Path("pretrain/README.md")
 PRECISIONS = ("32", "bf16")
@@ -62,9 +62,7 @@ def table(machines: list[dict[str, Any]]) -> str:
     rows = []
     for run in ({**run, "processor": machine["processor"]} for machine in machines for run in machine["runs"]):
         figures = run["validation"]
-        probe = ", ".join(
-            f"{name} {figure['rmse_mm']:.1f}" for name, figure in run["probe"].items() if not name.startswith("goal")
-        )
+        probe = probe_errors(run["probe"])
         quality = f"{figures['psnr_db']:.1f}", f"{figures['miou']:.2f}", f"{100 * figures['depth_mae_m']:.1f}"
         what = run["processor"], run["scene"].removeprefix("metaworld/"), run["seed"], run["precision"]
         rows.append([*what, f"{run['steps'] / run['training_seconds']:.1f}", *quality, probe])

@@ -21,7 +21,7 @@ from nerf_rl.files.versions import git_revision, package_versions
 from tools.compare.pairs import RECIPE, train_pair
 from tools.compare.precision import processor
 from tools.compare.tasks import things
-from tools.readme_tables import markdown_table, replace_tables, task_name
+from tools.readme_tables import markdown_table, probe_errors, replace_tables, task_name
 
 RESULT, README = Path("pretrain/results/quality.json"), Path("pretrain/README.md")
 ARMS = ("fast", "smooth")
@@ -68,9 +68,7 @@ def table(rows: list[dict[str, Any]]) -> str:
     lines = []
     for row in rows:
         figures = row["validation"]
-        columns = ", ".join(
-            f"{name} {figure['rmse_mm']:.1f}" for name, figure in row["probe"].items() if not name.startswith("goal")
-        )
+        columns = probe_errors(row["probe"])
         about = [task_name(row["scene"]), row["seed"], row["arm"], f"{row['rendering_seconds']:.0f}"]
         about += [f"{row['minutes']:g}", f"{row['steps']:,}", f"{figures['psnr_db']:.1f}", f"{figures['ssim']:.2f}"]
         lines.append([*about, f"{100 * figures['depth_mae_m']:.1f}", things(row), columns])

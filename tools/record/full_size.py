@@ -13,7 +13,7 @@ from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import write_json
 from nerf_rl.pretrain.model.encoder_file import read_description
 from tools.compare.precision import processor
-from tools.readme_tables import markdown_table, replace_tables
+from tools.readme_tables import markdown_table, probe_errors, replace_tables
 from tools.record.demo import read_result
 
 RESULT, README = Path("pretrain/results/full_size.json"), Path("pretrain/README.md")
@@ -47,9 +47,7 @@ def table(runs: list[dict[str, Any]]) -> str:
     ]
     rows = []
     for run in runs:
-        probe = ", ".join(
-            f"{name} {figure['rmse_mm']:.1f}" for name, figure in run["probe"].items() if not name.startswith("goal")
-        )
+        probe = probe_errors(run["probe"])
         others = run["validation_other_cameras"]
         drawn = run.get("quality", "fast")  # runs of before there were others do not tell
         rows.append([drawn, f"{run['steps']:,}", f"{run['training_seconds'] / 60:.0f}", "the encoder's cameras"])
