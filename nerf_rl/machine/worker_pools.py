@@ -32,14 +32,23 @@ class LocalProcesses(LokyBackend):
     def configure(
         self, n_jobs: int = 1, parallel: Any = None, prefer: Any = None, require: Any = None, **options: Any
     ) -> int:
-        """Start ``n_jobs`` processes."""
+        """Prepare to start ``n_jobs`` processes."""
         self._workers = get_memmapping_executor(
             n_jobs, env=self._prepare_worker_env(n_jobs), initializer=start_worker, context_id=parallel._id
         )
-        with ignore_sigint():
-            self._workers.submit(int)  # the first task is what starts the processes
+        self._started = False
         self.parallel = parallel
         return max(n_jobs, 2)  # joblib would take one job as none of its own process
+
+    def submit(self, func: Callable[[], Any], callback: Callable[[Any], Any] | None = None) -> Any:
+        """Hand work over; the first piece is what starts the processes.
+
+        It is none of our own making: loky compares a process's memory with what it was after its first piece of work,
+        and replaces one that has 300 MB more by another, which would begin with its imports again.
+        """
+        starts, self._started = not self._started, True
+        with ignore_sigint() if starts else contextlib.nullcontext():
+            return super().submit(func, callback)
 
     def terminate(self) -> None:
         """End the processes."""
