@@ -6,20 +6,22 @@ Sites are not drawn, since goal markers would give the goal away.
 """
 
 import copy
+import math
 from typing import NamedTuple
 
 import cv2
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float, Int32, UInt8
+from jaxtyping import Bool, Float, Int32, Shaped, UInt8
 from numpy import ndarray
 
 from nerf_rl.cameras.geometry import camera_position
 from nerf_rl.errors import UserError
-from nerf_rl.machine.gl import renderer_name
+from nerf_rl.machine.gl import is_software, renderer_name
 from nerf_rl.rendering.culling import FrustumCulling, planes_from_behind
 from nerf_rl.rendering.level_of_detail import simplify_meshes
 from nerf_rl.rendering.offscreen_target import OffscreenTarget
+from nerf_rl.rendering.still_background import StillBackground, StillGeoms
 
 _HIDDEN_GROUP = 5  # of geoms; not drawn by default
 _FULL_SHADOW_MAP = 4096
@@ -90,10 +92,12 @@ class MultiViewRenderer:
         self.far = float(model.vis.map.zfar * model.stat.extent)
         self._culling = FrustumCulling(model, height, width, self._near)
         self._labels_insides = quality == "smooth"
-        self._target = self._plain  # what was drawn to last
         drawn_to = self._fine or self._plain
-        self._rgb = np.empty(self._at_once * drawn_to.height * drawn_to.width * 3, np.uint8)
-        self._buffer_depth = np.empty((self._at_once * height, width), np.float32)
+        pixels = self._at_once * drawn_to.height * drawn_to.width
+        self._rgb, self._buffer_depth = np.empty(3 * pixels, np.uint8), np.empty(pixels, np.float32)
+        self._labels = _Layer(self._plain, True, StillBackground())
+        self._colours = _Layer(drawn_to, False, None if drawn_to.has_shadows else StillBackground())
+        self._still_geoms = StillGeoms(model) if is_software(self.gl_renderer) else None  # a GPU draws all in no time
 
     @property
     def gl_renderer(self) -> str:
@@ -126,7 +130,7 @@ class MultiViewRenderer:
     ) -> UInt8[ndarray, "V H W 3"]:
         """Render colours alone, the same as in :meth:`render`."""
         turns = self._turns(intrinsics, camera_from_world)
-        rendered = [self._colours(data, *cameras, self._culling.outside(data, *cameras)) for cameras in turns]
+        rendered = [self._rgb_at_once(data, *cameras, self._look(data, *cameras)) for cameras in turns]
         return rendered[0] if len(rendered) == 1 else np.concatenate(rendered)
 
     def close(self) -> None:
@@ -145,72 +149,115 @@ class MultiViewRenderer:
         turns = [slice(first, first + self._at_once) for first in range(0, count, self._at_once)]
         return [(intrinsics[turn], camera_from_world[turn]) for turn in turns]
 
+    def _look(self, data: mujoco.MjData, intrinsics: ndarray, camera_from_world: ndarray) -> Bool[ndarray, "V G"]:
+        """Take in what is to be drawn; return which geoms no view needs, since they are outside of it."""
+        if self._still_geoms is not None:
+            self._still_geoms.look(data, intrinsics, camera_from_world)
+        return self._culling.outside(data, intrinsics, camera_from_world)
+
     def _render_at_once(self, data: mujoco.MjData, intrinsics: ndarray, camera_from_world: ndarray) -> Views:
-        hidden = self._culling.outside(data, intrinsics, camera_from_world)
+        hidden = self._look(data, intrinsics, camera_from_world)
         unlabelled = hidden
         if self._labels_insides:  # a plane has no inside, but would be drawn from behind as well
             unlabelled = hidden | planes_from_behind(self._model, data, camera_from_world)
-        drawn = self._draw(self._plain, data, intrinsics, camera_from_world, unlabelled, labels=True)
-        colours = self._read(len(intrinsics), depth=True)
-        segment = colours[..., 0].astype(np.int32) | colours[..., 1].astype(np.int32) << 8
-        labels = np.stack([view.geom_of_segment[ids] for view, ids in zip(drawn, segment, strict=True)])
-        buffer = self._tiles(self._buffer_depth, len(intrinsics))
+        labelled = self._picture(self._labels, data, intrinsics, camera_from_world, unlabelled)
+        labels, buffer = _upright(labelled.pixels), _upright(labelled.depth)
         depth = self._near * self.far / (self._near + buffer * (self.far - self._near))
-        opaque = np.array([view.opaque for view in drawn])
+        covered = None
         if self._fine is None:  # what is behind other geoms adds no colour
-            hidden |= opaque[:, None] & ~_shown(labels, self._model.ngeom)
-        rgb = self._colours(data, intrinsics, camera_from_world, hidden)
+            covered = labelled.opaque[:, None] & ~_shown(labels, self._model.ngeom)
+        rgb = self._rgb_at_once(data, intrinsics, camera_from_world, hidden, covered)
         return Views(rgb, depth.astype(np.float32), labels)
 
-    def _colours(
-        self, data: mujoco.MjData, intrinsics: ndarray, camera_from_world: ndarray, hidden: Bool[ndarray, "V G"]
-    ) -> UInt8[ndarray, "V H W 3"]:
-        target = self._fine or self._plain
-        if target.has_shadows:  # what a camera does not see may cast a shadow into its view
-            hidden = np.zeros_like(hidden)
-        self._draw(target, data, intrinsics, camera_from_world, hidden)
-        return self._read(len(intrinsics)).copy()
-
-    def _draw(
+    def _rgb_at_once(
         self,
-        target: OffscreenTarget,
         data: mujoco.MjData,
         intrinsics: ndarray,
         camera_from_world: ndarray,
         hidden: Bool[ndarray, "V G"],
-        labels: bool = False,
-    ) -> list["_DrawnGeoms"]:
-        """Draw all views without the geoms hidden from them; for labels, tell what each colour is."""
+        covered: Bool[ndarray, "V G"] | None = None,
+    ) -> UInt8[ndarray, "V H W 3"]:
+        if self._colours.target.has_shadows:  # what a camera does not see may cast a shadow into its view
+            hidden = np.zeros_like(hidden)
+        pixels = self._picture(self._colours, data, intrinsics, camera_from_world, hidden, covered).pixels
+        if pixels.shape[2] == self._width:
+            return _upright(pixels).copy()
+        flat = pixels.reshape(-1, *pixels.shape[2:])
+        kept = cv2.resize(flat, (self._width, len(pixels) * self._height), interpolation=cv2.INTER_AREA)
+        return _upright(kept.reshape(len(pixels), self._height, self._width, 3)).copy()
+
+    def _picture(
+        self,
+        layer: "_Layer",
+        data: mujoco.MjData,
+        intrinsics: ndarray,
+        camera_from_world: ndarray,
+        hidden: Bool[ndarray, "V G"],
+        covered: Bool[ndarray, "V G"] | None = None,
+    ) -> "_Picture":
+        """Return what all views show; of what stands still before cameras that do, a picture is kept.
+
+        Args:
+            layer: colours or labels.
+            data: the state.
+            intrinsics, camera_from_world: of the views.
+            hidden: geoms that are not drawn.
+            covered: geoms that are not drawn either, in this state.
+        """
+        cameras, needless = (intrinsics, camera_from_world), hidden if covered is None else hidden | covered
+        still, background = self._still_geoms, layer.background
+        if still is None or background is None or not still.steady.any():
+            return self._draw(layer, data, *cameras, needless)
+        steady = [int(view) for view in np.flatnonzero(still.steady)]
+        missing = [view for view in steady if not background.has(view, still.key(view))]
+        if missing:
+            moving = hidden[missing] | ~still.still
+            picture = self._draw(layer, data, intrinsics[missing], camera_from_world[missing], moving)
+            for view, pixels, depth in zip(missing, picture.pixels, picture.depth, strict=True):
+                background.keep(view, still.key(view), pixels, depth)
+        kept = still.steady[:, None] & still.still
+        picture = self._draw(layer, data, *cameras, needless | kept, has_sky=~still.steady)
+        if all(background.put_behind(view, picture.pixels[view], picture.depth[view]) for view in steady):
+            return picture
+        return self._draw(layer, data, *cameras, needless)
+
+    def _draw(
+        self,
+        layer: "_Layer",
+        data: mujoco.MjData,
+        intrinsics: ndarray,
+        camera_from_world: ndarray,
+        hidden: Bool[ndarray, "V G"],
+        has_sky: Bool[ndarray, "V"] | None = None,
+    ) -> "_Picture":
+        """Draw all views without the geoms hidden from them, into buffers that the next call overwrites."""
+        target, count = layer.target, len(intrinsics)
         target.make_current()
-        self._target = target
         flags = self._scene.flags
         flags[mujoco.mjtRndFlag.mjRND_SHADOW] = flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = target.has_shadows
-        flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = labels
-        flags[mujoco.mjtRndFlag.mjRND_CULL_FACE] = not (labels and self._labels_insides)
+        flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = layer.labels
+        flags[mujoco.mjtRndFlag.mjRND_CULL_FACE] = not (layer.labels and self._labels_insides)
         drawn = []
-        for view in range(len(intrinsics)):
+        for view in range(count):
+            flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = has_sky is None or has_sky[view]
             self._update_scene(data, intrinsics[view], camera_from_world[view], hidden[view])
             tile = mujoco.MjrRect(0, view * target.height, target.width, target.height)
             mujoco.mjr_render(tile, self._scene, target.context)
-            if labels:
+            if layer.labels:
                 drawn.append(self._drawn_geoms())
-        return drawn
 
-    def _read(self, count: int, depth: bool = False) -> UInt8[ndarray, "V H W 3"]:
-        """Read back what was drawn last, into buffers that the next call overwrites; return the colours."""
-        height, width = count * self._target.height, self._target.width
-        drawn = self._rgb[: height * width * 3].reshape(height, width, 3)
-        buffer_depth = self._buffer_depth[:height] if depth else None
-        mujoco.mjr_readPixels(drawn, buffer_depth, mujoco.MjrRect(0, 0, width, height), self._target.context)
-        if width == self._width:
-            return self._tiles(drawn, count)
-        kept = cv2.resize(drawn, (self._width, count * self._height), interpolation=cv2.INTER_AREA)
-        return self._tiles(kept, count)
-
-    def _tiles(self, atlas: ndarray, count: int) -> ndarray:
-        """Return the views, each with its top row first; OpenGL reads rows back from the bottom."""
-        stacked = atlas[: count * self._height]
-        return stacked.reshape(count, self._height, self._width, *atlas.shape[2:])[:, ::-1]
+        size = (count, target.height, target.width)
+        colours = self._rgb[: 3 * math.prod(size)].reshape(*size, 3)
+        depth = self._buffer_depth[: math.prod(size)].reshape(size)
+        rows, read = mujoco.MjrRect(0, 0, target.width, count * target.height), colours.reshape(-1, target.width, 3)
+        needs_depth = layer.labels or (self._still_geoms is not None and layer.background is not None)
+        buffer = depth.reshape(-1, target.width) if needs_depth else None
+        mujoco.mjr_readPixels(read, buffer, rows, target.context)
+        if not layer.labels:
+            return _Picture(colours, depth, np.ones(count, bool))
+        segment = colours[..., 0].astype(np.int32) | colours[..., 1].astype(np.int32) << 8
+        labels = np.stack([view.geom_of_segment[ids] for view, ids in zip(drawn, segment, strict=True)])
+        return _Picture(labels, depth, np.array([view.opaque for view in drawn]))
 
     def _update_scene(
         self, data: mujoco.MjData, intrinsics: ndarray, camera_from_world: ndarray, hidden: Bool[ndarray, "G"]
@@ -250,6 +297,28 @@ class MultiViewRenderer:
         return _DrawnGeoms(geom_of_segment, opaque)
 
 
+class _Layer(NamedTuple):
+    """One of the two passes."""
+
+    target: OffscreenTarget
+    """where it is drawn"""
+    labels: bool
+    """whether each geom has a colour of its own"""
+    background: StillBackground | None
+    """of what stands still; none: all is drawn each time"""
+
+
+class _Picture(NamedTuple):
+    """What several views show, as OpenGL has it: from the bottom row up."""
+
+    pixels: Shaped[ndarray, "V H W *C"]
+    """colours (uint8), or geom ids (int32; -1 where no geom is hit)"""
+    depth: Float[ndarray, "V H W"]
+    """of the depth buffer: greater is nearer, and 0 where nothing is hit; undefined for colours without background"""
+    opaque: Bool[ndarray, "V"]
+    """of labels: whether nothing shows through anything, so that what has no label has no colour either"""
+
+
 class _DrawnGeoms(NamedTuple):
     """What was drawn into one view."""
 
@@ -257,6 +326,11 @@ class _DrawnGeoms(NamedTuple):
     """geom id of each colour of the label pass; colour 0 is the background, the n-th geom has n + 1"""
     opaque: bool
     """whether nothing shows through anything, so that what has no label has no colour either"""
+
+
+def _upright(views: Shaped[ndarray, "V H W *C"]) -> Shaped[ndarray, "V H W *C"]:
+    """Return views with their top row first."""
+    return views[:, ::-1]
 
 
 def _shown(labels: Int32[ndarray, "V H W"], geoms: int) -> Bool[ndarray, "V geoms"]:
