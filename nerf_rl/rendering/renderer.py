@@ -53,6 +53,7 @@ class MultiViewRenderer:
             OpenGL, which does not draw insides, shows what is behind the mesh).
         pixels_per_metre: in an image, where a camera is nearest to what it shows; decides how far meshes are
             simplified; none: as for a camera with a field of view of 45 degrees, 0.7 m away.
+        colours_only: whether :meth:`render_rgb` is all that will be asked for; the other pass then takes no memory.
 
     Raises:
         UserError: a view is larger than OpenGL can draw.
@@ -66,23 +67,26 @@ class MultiViewRenderer:
         views: int,
         quality: str = "fast",
         pixels_per_metre: float | None = None,
+        colours_only: bool = False,
     ):
         self._model, self._height, self._width, self._views = model, height, width, views
         usual = height * _USUAL_PIXELS_PER_METRE
         self.pixels_per_metre = usual if pixels_per_metre is None else pixels_per_metre
         simple = quality in ("fast", "smooth")
         drawn = simplify_meshes(model, height, self.pixels_per_metre) if simple else copy.deepcopy(model)
-        self._plain = OffscreenTarget(drawn, height, width, views, shadow_map=0, samples=0)
-        self._fine: OffscreenTarget | None = None
+        targets = []
+        if quality in ("plain", "fast") or not colours_only:
+            targets.append(OffscreenTarget(drawn, height, width, views, shadow_map=0, samples=0))
         if quality == "full":
-            self._fine = OffscreenTarget(drawn, height, width, views, _FULL_SHADOW_MAP, _FULL_SAMPLES)
+            targets.append(OffscreenTarget(drawn, height, width, views, _FULL_SHADOW_MAP, _FULL_SAMPLES))
         elif quality == "smooth":
             sides = _SMOOTH_SIDE * height, _SMOOTH_SIDE * width
             try:
-                self._fine = OffscreenTarget(drawn, *sides, views, shadow_map=0, samples=0)
+                targets.append(OffscreenTarget(drawn, *sides, views, shadow_map=0, samples=0))
             except UserError as error:
                 raise UserError(f"{error}; smooth pictures are drawn {_SMOOTH_SIDE} times as large") from error
-        self._at_once = self._plain.tiles if self._fine is None else min(self._plain.tiles, self._fine.tiles)
+        self._targets = targets  # of labels, unless none are asked for, and of colours, which may be the same
+        self._at_once = min(target.tiles for target in targets)
         self._option = mujoco.MjvOption()
         self._option.sitegroup[:] = 0
         self._camera, self._perturb = mujoco.MjvCamera(), mujoco.MjvPerturb()
@@ -92,17 +96,17 @@ class MultiViewRenderer:
         self.far = float(model.vis.map.zfar * model.stat.extent)
         self._culling = FrustumCulling(model, height, width, self._near)
         self._labels_insides = quality == "smooth"
-        drawn_to = self._fine or self._plain
-        pixels = self._at_once * drawn_to.height * drawn_to.width
+        colours = targets[-1]
+        pixels = self._at_once * colours.height * colours.width
         self._rgb, self._buffer_depth = np.empty(3 * pixels, np.uint8), np.empty(pixels, np.float32)
-        self._labels = _Layer(self._plain, True, StillBackground())
-        self._colours = _Layer(drawn_to, False, None if drawn_to.has_shadows else StillBackground())
+        self._labels = None if colours_only else _Layer(targets[0], True, StillBackground())
+        self._colours = _Layer(colours, False, None if colours.has_shadows else StillBackground())
         self._still_geoms = StillGeoms(model) if is_software(self.gl_renderer) else None  # a GPU draws all in no time
 
     @property
     def gl_renderer(self) -> str:
         """The OpenGL implementation's name for itself."""
-        self._plain.make_current()
+        self._colours.target.make_current()
         return renderer_name()
 
     def render(
@@ -135,9 +139,8 @@ class MultiViewRenderer:
 
     def close(self) -> None:
         """Free the OpenGL resources."""
-        for target in (self._plain, self._fine):
-            if target is not None:
-                target.close()
+        for target in self._targets:
+            target.close()
 
     def _turns(
         self, intrinsics: Float[ndarray, "V 3 3"], camera_from_world: Float[ndarray, "V 4 4"]
@@ -157,6 +160,8 @@ class MultiViewRenderer:
 
     def _render_at_once(self, data: mujoco.MjData, intrinsics: ndarray, camera_from_world: ndarray) -> Views:
         hidden = self._look(data, intrinsics, camera_from_world)
+        if self._labels is None:
+            raise ValueError("this renderer was made for colours alone")
         unlabelled = hidden
         if self._labels_insides:  # a plane has no inside, but would be drawn from behind as well
             unlabelled = hidden | planes_from_behind(self._model, data, camera_from_world)
@@ -164,7 +169,7 @@ class MultiViewRenderer:
         labels, buffer = _upright(labelled.pixels), _upright(labelled.depth)
         depth = self._near * self.far / (self._near + buffer * (self.far - self._near))
         covered = None
-        if self._fine is None:  # what is behind other geoms adds no colour
+        if self._labels.target is self._colours.target:  # pixels have the colours of what they are labelled
             covered = labelled.opaque[:, None] & ~_shown(labels, self._model.ngeom)
         rgb = self._rgb_at_once(data, intrinsics, camera_from_world, hidden, covered)
         return Views(rgb, depth.astype(np.float32), labels)

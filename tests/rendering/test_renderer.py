@@ -367,3 +367,15 @@ def test_full_quality_has_the_labels_of_full_meshes_and_casts_shadows():
     np.testing.assert_allclose(views["full"].depth, views["fast"].depth, rtol=1e-5)  # the floor is divided otherwise
     floor = views["fast"].geom == 0
     assert (views["full"].rgb[floor].mean(-1) < views["fast"].rgb[floor].mean(-1) - 5).mean() > 0.02
+
+
+@pytest.mark.parametrize("quality", ["fast", "smooth", "full"])
+def test_a_renderer_of_colours_alone_shows_the_same_and_nothing_else(quality: str):
+    model, data = loaded()
+    cameras_of_two = random_cameras(np.random.default_rng(21), 2, 32, (0.0, 0.0, 0.1))
+    colours, both = (MultiViewRenderer(model, 32, 32, 2, quality, None, alone) for alone in (True, False))
+    np.testing.assert_array_equal(colours.render_rgb(data, *cameras_of_two), both.render(data, *cameras_of_two).rgb)
+    with pytest.raises(ValueError, match="colours alone"):
+        colours.render(data, *cameras_of_two)
+    colours.close()
+    both.close()
