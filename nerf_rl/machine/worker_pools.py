@@ -43,8 +43,8 @@ class LocalProcesses(LokyBackend):
     def submit(self, func: Callable[[], Any], callback: Callable[[Any], Any] | None = None) -> Any:
         """Hand work over; the first piece is what starts the processes.
 
-        It is none of our own making: loky compares a process's memory with what it was after its first piece of work,
-        and replaces one that has 300 MB more by another, which would begin with its imports again.
+        Nothing is handed over before it to start them sooner: loky compares a process's memory with what it was after
+        its first piece of work, and replaces one that has 300 MB more by another, which begins with its imports again.
         """
         starts, self._started = not self._started, True
         with ignore_sigint() if starts else contextlib.nullcontext():

@@ -159,9 +159,9 @@ class MultiViewRenderer:
         return self._culling.outside(data, intrinsics, camera_from_world)
 
     def _render_at_once(self, data: mujoco.MjData, intrinsics: ndarray, camera_from_world: ndarray) -> Views:
-        hidden = self._look(data, intrinsics, camera_from_world)
         if self._labels is None:
             raise ValueError("this renderer was made for colours alone")
+        hidden = self._look(data, intrinsics, camera_from_world)
         unlabelled = hidden
         if self._labels_insides:  # a plane has no inside, but would be drawn from behind as well
             unlabelled = hidden | planes_from_behind(self._model, data, camera_from_world)

@@ -12,12 +12,7 @@ from numpy import ndarray
 
 from nerf_rl.scenes.workspace import DRAWN_GROUPS
 
-_LIGHT = ["active", "ambient", "attenuation", "cutoff", "diffuse", "directional", "exponent", "specular"]
-_APPEARANCE = [
-    *(f"geom_{name}" for name in ["rgba", "size", "type", "group", "matid", "dataid"]),
-    *(f"mat_{name}" for name in ["rgba", "emission", "specular", "shininess", "texid", "texrepeat", "texuniform"]),
-    *(f"light_{name}" for name in _LIGHT),
-]
+_OF_GEOMS = ("rgba", "size", "type", "group", "matid", "dataid")
 
 
 class StillGeoms:
@@ -28,7 +23,8 @@ class StillGeoms:
 
     Attributes:
         still: the geoms [G].
-        steady: the cameras of the last call that were there in the call before, too, in the same places [V].
+        steady: the cameras of the last call that were there in the call before, too, in the same places [V]; none if
+            the scene has changed since, so that one that looks otherwise each time is not drawn twice.
     """
 
     still: Bool[ndarray, "G"]
@@ -36,7 +32,8 @@ class StillGeoms:
 
     def __init__(self, model: mujoco.MjModel):
         self._model = model
-        self._arrays = [getattr(model, name) for name in _APPEARANCE]
+        names = [*(f"geom_{name}" for name in _OF_GEOMS), *(n for n in dir(model) if n.startswith(("mat_", "light_")))]
+        self._arrays = [getattr(model, name) for name in names]
         self._appearance, self._version = b"", 0
         self._poses, self._cameras = np.empty((0, 12)), np.empty((0, 25))
         self.still, self.steady = np.zeros(model.ngeom, bool), np.zeros(0, bool)
@@ -45,7 +42,7 @@ class StillGeoms:
         self, data: mujoco.MjData, intrinsics: Float[ndarray, "V 3 3"], camera_from_world: Float[ndarray, "V 4 4"]
     ) -> None:
         """Take in a state and the cameras that see it."""
-        appearance = self._appearance_now(data)
+        before, appearance = self._version, self._appearance_now(data)
         poses = np.concatenate([data.geom_xpos, data.geom_xmat], 1)
         if appearance != self._appearance:
             self._appearance, self._poses = appearance, poses
@@ -58,7 +55,8 @@ class StillGeoms:
         cameras = np.concatenate([intrinsics.reshape(-1, 9), camera_from_world.reshape(-1, 16)], 1)
         both = min(len(cameras), len(self._cameras))
         self.steady = np.zeros(len(cameras), bool)
-        self.steady[:both] = self.still.any() & (cameras[:both] == self._cameras[:both]).all(1)
+        if self._version == before and self.still.any():
+            self.steady[:both] = (cameras[:both] == self._cameras[:both]).all(1)
         self._cameras = cameras
 
     def key(self, view: int) -> bytes:

@@ -101,7 +101,7 @@ def test_pictures_of_a_robot_and_of_things_that_a_reset_moves_are_the_same(
     assert min(drawn) < max(drawn) - 3
 
 
-@pytest.mark.parametrize("change", ["colour", "size", "lamp", "place", "headlight"])
+@pytest.mark.parametrize("change", ["colour", "size", "lamp", "dimmer", "place", "headlight"])
 def test_what_looks_otherwise_or_was_put_elsewhere_is_drawn_anew(both: Both, change: str):
     model, data = scene(LAMP)
     compare = both(model, "smooth")
@@ -114,6 +114,8 @@ def test_what_looks_otherwise_or_was_put_elsewhere_is_drawn_anew(both: Both, cha
                 model.geom_size[1] *= 1.5
             elif change == "lamp":
                 data.mocap_pos[0] = 0.5, 0.5, 0.6
+            elif change == "dimmer":
+                model.light_diffuse[:] = 0.1
             elif change == "place":
                 model.geom_pos[2] += 0.2
             else:
@@ -174,3 +176,18 @@ def test_only_software_opengl_draws_what_stands_still_once(
         renderer.render(data, *cameras)
     renderer.close()
     assert max(drawn) <= (1 if software else 4) and (software or min(drawn) > 1)
+
+
+def test_a_scene_that_looks_otherwise_each_time_is_drawn_no_more_often(
+    monkeypatch: pytest.MonkeyPatch, drawn: list[int]
+):
+    monkeypatch.setattr(renderer_module, "is_software", lambda _: True)
+    model, data = scene(LAMP)
+    renderer = MultiViewRenderer(model, SIZE, SIZE, 2, "smooth")
+    cameras = random_cameras(np.random.default_rng(6), 2, SIZE, (0.0, 0.0, 0.1))
+    for step in steps(model, data, 4):
+        data.mocap_pos[0, 0] = 0.01 * step
+        mujoco.mj_forward(model, data)
+        renderer.render(data, *cameras)
+    renderer.close()
+    assert len(drawn) == 4 * 2 * 2  # steps, views, and passes

@@ -111,8 +111,8 @@ class LatentObservation(gymnasium.ObservationWrapper):
             simulation: Any = self.env.unwrapped
             rig = self.encoder.rig
             self._render_data = RenderData(simulation.model)
-            sizes, eyes = (rig.height, rig.width, len(rig.names)), self.encoder
-            self._renderer = MultiViewRenderer(simulation.model, *sizes, eyes.quality, eyes.pixels_per_metre, True)
+            sizes, look = (rig.height, rig.width, len(rig.names)), (self.encoder.quality, self.encoder.pixels_per_metre)
+            self._renderer = MultiViewRenderer(simulation.model, *sizes, *look, colours_only=True)
             if multiprocessing.parent_process() is None:  # a learner tells for its workers
                 warn_of_other_rendering(self.encoder.renderer, self.encoder.simulators, self._renderer.gl_renderer)
         return self._renderer
