@@ -1,6 +1,6 @@
 """What stands still before a camera that stands still is drawn once, and put behind what moves by its depth.
 
-Software OpenGL spends about half of its time on a table, a floor and walls that are the same in every picture. A pixel
+On drawer-open, software OpenGL spends two fifths of a picture's time on what is the same in every picture. A pixel
 shows what is nearest in either part, so that pictures are the same, to the last bit, as if all were drawn at once.
 """
 
