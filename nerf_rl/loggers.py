@@ -1,19 +1,26 @@
-"""Where curves go besides a run's own CSV file: Lightning's loggers by name, or a user's own by ``module:Class``."""
+"""Where curves go besides a run's own CSV file: Lightning's loggers by name, or a user's own by ``module:Class``.
+
+An agent's training has no use for Lightning but for its loggers, and TensorBoard's files can be written without: there,
+Lightning, which takes seconds to import, is imported only for another logger.
+"""
 
 import contextlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from nerf_rl.errors import UnknownNameError
 from nerf_rl.machine.extras import find_named, import_extra, make_named
 
 if TYPE_CHECKING:
     from lightning.pytorch.loggers import Logger
+    from torch.utils.tensorboard import SummaryWriter
 
 TENSORBOARD, WANDB, MLFLOW = "tensorboard", "wandb", "mlflow"
 NAMES = (TENSORBOARD, WANDB, MLFLOW)
+LOGS = "logs"
+"""TensorBoard's folder in a run's"""
 _PROJECT = "nerf-rl"
 
 
@@ -33,13 +40,70 @@ def require_loggers(names: Sequence[str]) -> None:
             find_named("logger", name)
 
 
-def make_loggers(names: Sequence[str], run: Path, version: str = "logs") -> "list[Logger]":
-    """Return loggers that write below a run's folder.
+@runtime_checkable
+class CurveLogger(Protocol):
+    """What an agent's training asks of a logger; Lightning's have it."""
+
+    def log_metrics(self, metrics: Mapping[str, float], step: int) -> None:
+        """Take the values of some curves at a step."""
+
+    def save(self) -> None:
+        """Write what has been taken."""
+
+    def finalize(self, status: str) -> None:
+        """Close what is open; ``status`` is ``success`` or ``failed``."""
+
+
+class TensorBoardFile:
+    """TensorBoard's file of an agent's curves.
+
+    Args:
+        folder: to write it to; it is made with the first values.
+    """
+
+    def __init__(self, folder: Path):
+        self._folder = folder
+        self._writer: SummaryWriter | None = None
+
+    def log_metrics(self, metrics: Mapping[str, float], step: int) -> None:
+        """Take the values of some curves at a step."""
+        if self._writer is None:
+            from torch.utils.tensorboard import SummaryWriter  # it takes half a second to import
+
+            self._writer = SummaryWriter(self._folder)
+        for name, value in metrics.items():
+            self._writer.add_scalar(name, value, step)
+
+    def save(self) -> None:
+        """Write what has been taken."""
+        if self._writer is not None:
+            self._writer.flush()
+
+    def finalize(self, status: str) -> None:
+        """Close the file."""
+        if self._writer is not None:
+            self._writer.close()
+
+
+def make_loggers(names: Sequence[str], run: Path) -> list[CurveLogger]:
+    """Return loggers of an agent's training, which write below its run's folder.
 
     Args:
         names: ``tensorboard``, ``wandb`` or ``mlflow`` (extras of the same names), or ``module:Class`` of a Lightning
             logger that is made from the run's folder.
         run: the folder.
+
+    Raises:
+        UserError: a logger of the user's own cannot be made.
+    """
+    return [TensorBoardFile(run / LOGS) if name == TENSORBOARD else _make(name, run, LOGS) for name in names]
+
+
+def make_lightning_loggers(names: Sequence[str], run: Path, version: str = LOGS) -> "list[Logger]":
+    """Return loggers for Lightning's trainer, which write below a run's folder.
+
+    Args:
+        names, run: as above.
         version: TensorBoard's folder in it.
 
     Raises:
@@ -49,7 +113,7 @@ def make_loggers(names: Sequence[str], run: Path, version: str = "logs") -> "lis
 
 
 @contextlib.contextmanager
-def closed_at_end(loggers: "Sequence[Logger]") -> Iterator[None]:
+def closed_at_end(loggers: "Sequence[CurveLogger | Logger]") -> Iterator[None]:
     """Tell loggers at the end of a run that it has ended, and whether well, so that none takes it for one that goes on.
 
     Args:
@@ -63,15 +127,19 @@ def closed_at_end(loggers: "Sequence[Logger]") -> Iterator[None]:
     _close(loggers, True)
 
 
-def _close(loggers: "Sequence[Logger]", succeeded: bool) -> None:
-    from lightning.pytorch.loggers import WandbLogger
-
+def _close(loggers: "Sequence[CurveLogger | Logger]", succeeded: bool) -> None:
     for logger in loggers:
         logger.finalize("success" if succeeded else "failed")
-        if isinstance(logger, WandbLogger):
+        if not isinstance(logger, TensorBoardFile) and _is_of_wandb(logger):
             import wandb
 
             wandb.finish(0 if succeeded else 1)  # otherwise this process's next run is taken for the same
+
+
+def _is_of_wandb(logger: Any) -> bool:
+    from lightning.pytorch.loggers import WandbLogger
+
+    return isinstance(logger, WandbLogger)
 
 
 def _make(name: str, run: Path, version: str) -> Any:

@@ -3,7 +3,6 @@
 import os
 import signal
 from collections.abc import Iterator
-from multiprocessing import forkserver
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # there is a test on each core: their threads would wait for each other
@@ -15,7 +14,7 @@ import torch
 from tiny_recipes import TINY_DATASET, TINY_PRETRAINING, TINY_TRAINING, travelling_recipe
 
 from nerf_rl import cli  # before any test file imports mujoco, which reads the OpenGL backend's name once
-from nerf_rl.machine.processes import start_method
+from nerf_rl.machine.processes import start_server
 from nerf_rl.scenes.base import Scene
 from nerf_rl.scenes.make import make_scene
 
@@ -37,8 +36,7 @@ def server_of_environments() -> None:
     After an agent without eyes, each later process would import PyTorch, which takes seconds.
     """
     environments = "nerf_rl.rl.environments"
-    start_method([f"{environments}.{name}" for name in ("make", "observation", "controls")] + ["metaworld"])
-    forkserver.ensure_running()
+    start_server([f"{environments}.{name}" for name in ("make", "observation", "controls")] + ["metaworld"])
 
 
 @pytest.fixture(scope="session")

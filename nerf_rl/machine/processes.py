@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from multiprocessing import forkserver
 
 from nerf_rl.machine.gl import use_one_software_thread
 
@@ -45,6 +46,17 @@ def start_method(modules: Sequence[str]) -> str:
         return "spawn"
     multiprocessing.set_forkserver_preload(list(modules))
     return FORK_SERVER
+
+
+def start_server(modules: Sequence[str]) -> None:
+    """Let the server of :func:`start_method` begin its imports, while this process goes on with its own.
+
+    Args:
+        modules: as there; they are those that the server has if it is running already.
+    """
+    if start_method(modules) == FORK_SERVER:
+        with ignore_sigint():  # until its imports are done, it would die of Ctrl-C with a traceback
+            forkserver.ensure_running()
 
 
 def start_worker() -> None:

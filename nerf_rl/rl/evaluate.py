@@ -27,14 +27,16 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
         UserError: no policy there, not its encoder, no such device, an existing output folder.
     """
     run, out = find_run(config.run), Path(config.out)
-    check_policy(run, config.encoder)
+    description = check_policy(run, config.encoder)
     check_device(config.device)
     prepare_output(out, config.overwrite)
     write_provenance(out, "evaluate", config)
     print(f"evaluate writes to {out}", flush=True)
 
+    from nerf_rl.rl.environments.make import begin_workers, make_vector_env, spec_from_json
+
+    begin_workers(spec_from_json(description["env"]))
     from nerf_rl.rl.agents.policy import Policy
-    from nerf_rl.rl.environments.make import make_vector_env
     from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes
 
     device = resolve_device(config.device)

@@ -51,7 +51,15 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
     is_baseline = config.algo in BASELINES
     if is_baseline:
         import_extra("stable_baselines3", "sb3", f"--algo {config.algo}")
-    else:
+    from nerf_rl.rl.environments.make import EnvSpec, begin_workers, check_scene, make_goal_task, make_vector_env
+
+    observe = tuple(config.observe)
+    spec = EnvSpec(
+        config.scene, encoder, config.action_repeat, config.episode_steps, config.panda, observe, config.control
+    )
+    if not config.seeds:
+        begin_workers(spec)
+    if not is_baseline:
         from nerf_rl.rl.agents.agent import find_agent
 
         find_agent(config.algo, cloning=config.demonstrations > 0, valuing=config.learner.uses_returns)
@@ -59,13 +67,6 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
     if config.resume and not config.seeds:
         require_one_run(run)
     resuming = config.resume and not config.seeds and not is_baseline and _can_resume(run, config)
-
-    from nerf_rl.rl.environments.make import EnvSpec, check_scene, make_goal_task, make_vector_env
-
-    observe = tuple(config.observe)
-    spec = EnvSpec(
-        config.scene, encoder, config.action_repeat, config.episode_steps, config.panda, observe, config.control
-    )
     beside_latent = check_scene(spec, config.demonstrations > 0)
     if config.replay.hindsight and encoder is not None:
         raise UserError("--replay.hindsight exchanges goals in the true state; leave out --encoder or hindsight")

@@ -16,7 +16,7 @@ from numpy import ndarray
 from nerf_rl.errors import UserError
 from nerf_rl.hub.fetch import resolve
 from nerf_rl.machine.gl import use_one_software_thread
-from nerf_rl.machine.processes import start_method
+from nerf_rl.machine.processes import start_method, start_server
 from nerf_rl.rl.config import BLIND, NO_CONTROL, RANDOM, PandaReachConfig
 from nerf_rl.rl.environments.encoder_match import compare_scenes
 from nerf_rl.rl.environments.goals import GoalTask, goal_layout, has_goal
@@ -147,9 +147,18 @@ def env_maker(spec: EnvSpec, device: str = "cpu") -> Callable[[], gymnasium.Env]
 
 def worker_start_method(spec: EnvSpec) -> str:
     """Return how to start the processes of environments, see :func:`nerf_rl.machine.processes.start_method`."""
+    return start_method(_worker_modules(spec))
+
+
+def begin_workers(spec: EnvSpec) -> None:
+    """Begin the imports of the processes of environments, which take seconds, beside those of this process."""
+    start_server(_worker_modules(spec))
+
+
+def _worker_modules(spec: EnvSpec) -> list[str]:
     simulator = ["metaworld"] if spec.scene.startswith(METAWORLD) else []
     eyes = [] if spec.encoder is None else ["nerf_rl.rl.environments.observation", "nerf_rl.rl.environments.controls"]
-    return start_method([__name__, *simulator, *eyes])
+    return [__name__, *simulator, *eyes]
 
 
 def reset_some(envs: gymnasium.vector.VectorEnv, which: ndarray, seeds: list[int]) -> ndarray:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nerf_rl.files.atomic import atomic_write, write_text
+from nerf_rl.loggers import CurveLogger
 from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS, tells_success, with_demonstrations
 
 if TYPE_CHECKING:
-    from lightning.pytorch.loggers import Logger
     from matplotlib.axes import Axes
 
 COLUMNS = (
@@ -46,10 +46,10 @@ class MetricsLog:
     Args:
         path: the file; rows beyond ``env_steps`` are dropped, so that a resumed run has each step once.
         env_steps: where the run goes on.
-        loggers: of Lightning, which get the rows and the evaluations as well.
+        loggers: which get the rows and the evaluations as well.
     """
 
-    def __init__(self, path: Path, env_steps: int = 0, loggers: "Sequence[Logger]" = ()):
+    def __init__(self, path: Path, env_steps: int = 0, loggers: Sequence[CurveLogger] = ()):
         self._path, self.loggers = path, loggers
         rows = []
         if env_steps and path.is_file():
