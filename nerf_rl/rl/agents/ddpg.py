@@ -283,7 +283,8 @@ class DDPG:
 
     def _standardise(self, batch: Batch) -> Batch:
         """Return a batch on the networks' device, all but the places, with standardised observations."""
-        batch = Batch(batch.indices, *(tensor.to(self.device) for tensor in batch[1:]))
+        device = self.device
+        batch = Batch(batch.indices, *(tensor.to(device) for tensor in batch[1:]))
         both = self.norm(torch.stack([batch.observation, batch.next_observation]))
         observation, next_observation = both.unbind()
         return batch._replace(observation=observation, next_observation=next_observation)
