@@ -108,7 +108,8 @@ class Encoder(nn.Module):
         each = self.per_view(torch.cat([seen, cameras.reshape(batch * views, 12).to(seen.dtype)], dim=-1))
         found = None
         if self.landmarks is not None:
-            height, width = (self.config.patch * cells for cells in maps[1].shape[-2:])  # of the pixels that are read
+            # of the pixels that are read; sizes are tensors while operations are recorded
+            height, width = (self.config.patch * int(cells) for cells in maps[1].shape[-2:])
             found = self.landmarks(maps[1 : 1 + READ_MAPS], _in_parts(projections, width, height))
         with in_full_precision(each.device):
             latent = self.merged(each.to(projections.dtype).reshape(batch, views, -1).mean(1))

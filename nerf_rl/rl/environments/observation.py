@@ -1,6 +1,7 @@
 """A frozen encoder's latent as a Gymnasium observation."""
 
 import multiprocessing
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -68,6 +69,7 @@ class LatentObservation(gymnasium.ObservationWrapper):
         if frame is not None:
             simulation: Any = env.unwrapped
             self._followed = body_id(simulation.model, frame.body, "the encoder's cameras")
+        self._encode: Callable[[Tensor], Tensor] | None = None
         self._renderer: MultiViewRenderer | None = None
         self._render_data: RenderData | None = None
         size = self.encoder.latent_size + (0 if proprio is None else len(proprio(env.observation_space.sample())))
@@ -91,7 +93,10 @@ class LatentObservation(gymnasium.ObservationWrapper):
             self.last_images = np.zeros((len(rig.names), rig.height, rig.width, 3), np.uint8)
             return torch.zeros(1, self.encoder.latent_size)
         self.last_images = self._render()
-        return self.encoder.encode(torch.from_numpy(self.last_images)[None])
+        images = torch.from_numpy(self.last_images)[None]
+        if self._encode is None:
+            self._encode = _recorded_encode(self.encoder, images)
+        return self._encode(images)
 
     @property
     def gl_renderer(self) -> str:
@@ -125,3 +130,19 @@ class LatentObservation(gymnasium.ObservationWrapper):
         if rig.tracking_frame is not None:
             poses = to_world(poses, rig.tracking_frame.origin(data.xpos[self._followed]))
         return renderer.render_rgb(data, rig.intrinsics, poses)
+
+
+def _recorded_encode(encoder: Encoder, images: UInt8[Tensor, "1 V H W 3"]) -> Callable[[Tensor], Tensor]:
+    """Return what encodes such images as the encoder does, to the last bit, by the operations recorded on these.
+
+    Of a single scene, Python takes as long as the operations that it calls, and recorded ones need none. A GPU's are
+    not recorded, since nobody has tried it. What PyTorch recommends in place of its recorder either runs in Python
+    (``torch.export``) or needs a compiler for C++ (``torch.compile``).
+    """
+    if encoder.latent_mean.device.type != "cpu":
+        return encoder.encode
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*torch.jit.*deprecated", category=FutureWarning)
+        warnings.filterwarnings("ignore", category=torch.jit.TracerWarning)  # sizes and cameras are always the same
+        recorded: Any = torch.jit.trace_module(encoder, {"encode": images}, check_trace=False)
+    return recorded.encode

@@ -1,8 +1,11 @@
 """What an agent's encoder sees of a simulation is what a dataset would have recorded of it."""
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
+import torch
 
 from nerf_rl.cameras.rig_config import RigConfig
 from nerf_rl.cameras.tracking_frame import TrackingFrame, to_tracking_frame
@@ -58,6 +61,23 @@ def test_the_encoder_sees_after_each_step_what_a_dataset_records(name: str, clos
         lagging += not np.array_equal(env.last_images, recorder.render_rgb(scene.data, intrinsics, poses))
     assert lagging == (0 if name.startswith("metaworld/") else 6)  # Meta-World propagates positions itself
     recorder.close()
+    env.close()
+
+
+def test_after_its_first_look_an_agent_has_the_encoders_latents_to_the_last_bit_without_its_python(tiny_encoder: Path):
+    scene = make_scene("metaworld/drawer-open-v3")
+    looking, reference = Encoder.load(tiny_encoder), Encoder.load(tiny_encoder)
+    assert reference.landmarks is not None
+    env = LatentObservation(scene.env, looking)
+    env.reset(seed=1)
+    looking.forward = None  # type: ignore[assignment]
+    rng, latents = np.random.default_rng(0), []
+    for _ in range(5):
+        env.step(rng.uniform(-1, 1, 4).astype(np.float32))
+        latents.append(env.last_latent)
+        expected = reference.encode(torch.from_numpy(env.last_images)[None])[0]
+        np.testing.assert_array_equal(env.last_latent, expected.numpy())
+    assert len(np.unique(latents, axis=0)) == 5
     env.close()
 
 
