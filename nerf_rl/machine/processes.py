@@ -7,7 +7,6 @@ import signal
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from multiprocessing import forkserver
 
 from nerf_rl.machine.gl import use_one_software_thread
 
@@ -55,6 +54,8 @@ def start_server(modules: Sequence[str]) -> None:
         modules: as there; they are those that the server has if it is running already.
     """
     if start_method(modules) == FORK_SERVER:
+        from multiprocessing import forkserver  # Windows has none
+
         with ignore_sigint():  # until its imports are done, it would die of Ctrl-C with a traceback
             forkserver.ensure_running()
 
