@@ -69,7 +69,8 @@ class LatentObservation(gymnasium.ObservationWrapper):
         if frame is not None:
             simulation: Any = env.unwrapped
             self._followed = body_id(simulation.model, frame.body, "the encoder's cameras")
-        self._encode: Callable[[Tensor], Tensor] | None = None
+        self._recorded_of: tuple[Encoder, torch.device] | None = None
+        self._encode: Callable[[Tensor], Tensor] = self.encoder.encode
         self._renderer: MultiViewRenderer | None = None
         self._render_data: RenderData | None = None
         size = self.encoder.latent_size + (0 if proprio is None else len(proprio(env.observation_space.sample())))
@@ -94,8 +95,9 @@ class LatentObservation(gymnasium.ObservationWrapper):
             return torch.zeros(1, self.encoder.latent_size)
         self.last_images = self._render()
         images = torch.from_numpy(self.last_images)[None]
-        if self._encode is None:
-            self._encode = _recorded_encode(self.encoder, images)
+        seeing = self.encoder, self.encoder.latent_mean.device  # either may be another one since the last look
+        if self._recorded_of != seeing:
+            self._recorded_of, self._encode = seeing, _recorded_encode(self.encoder, images)
         return self._encode(images)
 
     @property
@@ -135,9 +137,9 @@ class LatentObservation(gymnasium.ObservationWrapper):
 def _recorded_encode(encoder: Encoder, images: UInt8[Tensor, "1 V H W 3"]) -> Callable[[Tensor], Tensor]:
     """Return what encodes such images as the encoder does, to the last bit, by the operations recorded on these.
 
-    Of a single scene, Python takes as long as the operations that it calls, and recorded ones need none. A GPU's are
-    not recorded, since nobody has tried it. What PyTorch recommends in place of its recorder either runs in Python
-    (``torch.export``) or needs a compiler for C++ (``torch.compile``).
+    Of a single scene, two fifths of the time are Python's, and recorded operations need none. Weights that change are
+    seen by them, too. A GPU's are not recorded, since nobody has tried it. What PyTorch recommends in place of its
+    recorder either runs in Python (``torch.export``) or needs a compiler for C++ (``torch.compile``).
     """
     if encoder.latent_mean.device.type != "cpu":
         return encoder.encode

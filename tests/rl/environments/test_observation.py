@@ -78,6 +78,13 @@ def test_after_its_first_look_an_agent_has_the_encoders_latents_to_the_last_bit_
         expected = reference.encode(torch.from_numpy(env.last_images)[None])[0]
         np.testing.assert_array_equal(env.last_latent, expected.numpy())
     assert len(np.unique(latents, axis=0)) == 5
+    with torch.no_grad():
+        for module in (looking, reference):
+            module.merged[-1].bias.add_(1.0)
+    for encoder in (reference, reference.untrained()):  # its weights have changed; it is another one
+        env.encoder = looking if encoder is reference else encoder
+        np.testing.assert_array_equal(env.look(), encoder.encode(torch.from_numpy(env.last_images)[None]))
+        assert np.abs(env.look()[0].numpy() - latents[-1]).max() > 0.1
     env.close()
 
 
