@@ -33,8 +33,8 @@ class PictureMeasures(nn.Module):
     """Gathers the differences of frames; those that processes share out are gathered from all of them.
 
     PSNR [dB] and SSIM (Wang et al. 2004, a Gaussian window of 11 pixels) are means over views. IoU is over the pixels
-    of all views together. The error of expected depth [m] is the mean over frames of the mean over pixels whose true
-    depth is below ``far``.
+    of all views together. The error of depth [m] is the mean over frames of the mean over pixels whose true depth
+    is below ``far``.
 
     Args:
         classes: names of the semantic classes, by id.

@@ -16,6 +16,7 @@ from nerf_rl.pretrain.model.volume_rendering import (
     even_samples,
     free_space_samples,
     importance_samples,
+    median_depth,
     rendering_weights,
     sample_spacings,
     stratified_samples,
@@ -39,8 +40,8 @@ class RenderedRays:
 
     @property
     def depth(self) -> Float[Tensor, "B R"]:
-        """Expected planar depth [m]."""
-        return (self.weights * self.depths).sum(-1)
+        """Median planar depth [m]."""
+        return median_depth(self.weights, self.depths)
 
 
 def render_at(
@@ -147,7 +148,7 @@ class RenderedImages:
     semantic: Int[ndarray, "V H W"]
     """class ids"""
     depth: Float[ndarray, "V H W"]
-    """expected planar depth [m]"""
+    """median planar depth [m]"""
 
 
 def render_images(

@@ -89,3 +89,24 @@ def rendering_weights(density: Float[Tensor, "*B S"], spacings: Float[Tensor, "*
 def composite(weights: Float[Tensor, "*B S"], values: Float[Tensor, "*B S C"]) -> Float[Tensor, "*B C"]:
     """Return the weighted sum of values along rays."""
     return torch.einsum("...s,...sc->...c", weights, values)
+
+
+def median_depth(weights: Float[Tensor, "*B S"], depths: Float[Tensor, "*B S"]) -> Float[Tensor, "*B"]:
+    """Return the depth [m] before which half of a ray's light comes from; of a ray that mostly passes, its last one.
+
+    Where a ray may meet either of two surfaces, this is on one of them, where the expected depth is between them. The
+    density between two samples is that of the first, as in the weights, so that transmittance falls to a half
+    at ``t_i + delta_i ln(2 T_i) / (density_i delta_i)``.
+
+    Args:
+        weights: of the samples; those of a ray sum to one.
+        depths: of the samples, sorted [m].
+    """
+    absorbed = torch.cumsum(weights, dim=-1)
+    first = (absorbed[..., :-1] < 0.5).sum(-1, keepdim=True)  # by the end of which half is absorbed
+    weight = weights.gather(-1, first)
+    before = (1.0 - (absorbed.gather(-1, first) - weight)).clamp(min=0.5)
+    optical = -torch.log1p(-(weight / before).clamp(max=1.0))
+    share = (torch.log(2.0 * before) / optical).clamp(0.0, 1.0)
+    spacing = torch.cat([depths.diff(dim=-1), torch.zeros_like(depths[..., :1])], dim=-1).gather(-1, first)
+    return (depths.gather(-1, first) + share * spacing)[..., 0]

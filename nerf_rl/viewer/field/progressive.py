@@ -22,6 +22,7 @@ from nerf_rl.pretrain.model.volume_rendering import (
     composite,
     even_samples,
     importance_samples,
+    median_depth,
     rendering_weights,
     sample_spacings,
 )
@@ -265,5 +266,5 @@ def _images(field: ConditionedField, rays: _Rays, height: int, width: int) -> Re
     return RenderedImages(
         values["rgb"].clamp(0.0, 1.0).reshape(*shape, 3).cpu().numpy(),
         values["semantic"].argmax(-1).reshape(shape).cpu().numpy(),
-        (rays.weights * rays.depths).sum(-1).reshape(shape).cpu().numpy(),
+        median_depth(rays.weights, rays.depths).reshape(shape).cpu().numpy(),
     )

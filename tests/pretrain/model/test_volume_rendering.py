@@ -11,6 +11,7 @@ from nerf_rl.pretrain.model.volume_rendering import (
     even_samples,
     free_space_samples,
     importance_samples,
+    median_depth,
     rendering_weights,
     sample_spacings,
     stratified_samples,
@@ -147,3 +148,45 @@ def test_compositing_is_the_weighted_sum():
     weights, values = torch.rand((2, 3, 5), generator=generator), torch.rand((2, 3, 5, 4), generator=generator)
     expected = sum(weights[..., i, None] * values[..., i, :] for i in range(5))
     torch.testing.assert_close(composite(weights, values), expected)
+
+
+def test_the_median_depth_is_where_half_of_the_light_is_gone():
+    depths = torch.linspace(0.5, 2.5, 11, dtype=torch.float64)
+    for density in (0.5, 2.0, 40.0):
+        along = torch.full_like(depths, density)
+        median = median_depth(rendering_weights(along, sample_spacings(depths, torch.eye(3)[2].double())), depths)
+        assert float(median) == pytest.approx(min(0.5 + math.log(2.0) / density, 2.5), abs=1e-9)
+
+
+def test_the_median_depth_of_many_rays_is_found_between_the_samples_of_each():
+    density, spacings = random_rays(9)
+    depths = torch.cat([torch.zeros(2, 3, 1, dtype=torch.float64), spacings[..., :-1].cumsum(-1)], dim=-1)
+    medians = median_depth(rendering_weights(density, spacings), depths)
+    for ray in np.ndindex(2, 3):
+        optical = 0.0
+        for sample in range(8):
+            length = float(depths[ray][sample + 1] - depths[ray][sample])
+            added = float(density[ray][sample]) * length
+            if optical + added >= math.log(2.0):
+                expected = float(depths[ray][sample]) + length * (math.log(2.0) - optical) / added
+                break
+            optical += added
+        else:
+            expected = float(depths[ray][-1])
+        assert float(medians[ray]) == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_ray_that_may_meet_either_of_two_surfaces_has_a_depth_on_one_of_them():
+    depths = torch.tensor([0.8, 1.0, 1.2, 1.9, 2.0, 5.0])
+    for near, expected in ((0.4, 2.0), (0.6, 1.0)):
+        weights = torch.tensor([0.0, near, 0.0, 0.0, 1.0 - near, 0.0])
+        assert float(median_depth(weights, depths)) == pytest.approx(expected, abs=0.2)
+        assert float((weights * depths).sum()) == pytest.approx(2.0 - near)  # in the empty space between them
+
+
+def test_the_median_depth_of_opaque_and_of_empty_rays_is_finite_in_single_precision():
+    depths = torch.tensor([0.5, 1.0, 2.0])
+    weights = torch.eye(3)
+    assert median_depth(weights, depths.expand(3, -1)).tolist() == [0.5, 1.0, 2.0]
+    short = torch.tensor([[0.5, 0.0, 0.4999999], [0.0, 0.0, 0.9999999]])
+    assert median_depth(short, depths.expand(2, -1)).isfinite().all()
