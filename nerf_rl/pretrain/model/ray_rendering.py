@@ -21,6 +21,7 @@ from nerf_rl.pretrain.model.volume_rendering import (
     sample_spacings,
     stratified_samples,
     surface_samples,
+    widened_weights,
 )
 
 _POINTS_PER_CHUNK = 1 << 14  # what is between two layers stays in a processor's cache
@@ -120,14 +121,15 @@ def render_without_depth(
     directions: Float[Tensor, "B R 3"],
     config: SamplingConfig,
 ) -> RenderedRays:
-    """Render rays of unknown depth: even samples, then importance samples where those found density.
+    """Render rays of unknown depth: even samples, then importance samples where those found density, and around it.
 
     The field is asked once for each. What it says of the even samples counts in the picture, too.
     """
     near, far = field.bounds.near, field.bounds.far
     even = even_samples(near, far, tuple(origins.shape[:2]), config.rendering_stratified, origins.device)
     density, features = _evaluate(field, latent, origins, directions, even)
-    fine = _importance(density, directions, even, config.rendering_importance)
+    found = widened_weights(rendering_weights(density, sample_spacings(even, directions)))
+    fine = importance_samples(even, found, config.rendering_importance)
     finer = torch.cat([fine, torch.full_like(even[..., :1], far)], dim=-1)  # the backdrop is the last
     finer_density, finer_features = _evaluate(field, latent, origins, directions, finer)
     depths, order = torch.cat([even, finer], dim=-1).sort(dim=-1, stable=True)
@@ -194,13 +196,6 @@ def _found_density(
     if not count:
         return even[..., :0]
     density, _ = _evaluate(field, latent, origins, directions, even)
-    return _importance(density, directions, even, count)
-
-
-def _importance(
-    density: Float[Tensor, "B R S"], directions: Float[Tensor, "B R 3"], even: Float[Tensor, "B R S"], count: int
-) -> Float[Tensor, "B R M"]:
-    """Return planar depths [m] spread over the density [1/m] of even samples."""
     return importance_samples(even, rendering_weights(density, sample_spacings(even, directions)), count)
 
 

@@ -70,6 +70,18 @@ def importance_samples(
     return start + fraction.clamp(0.0, 1.0) * (end - start)
 
 
+def widened_weights(weights: Float[Tensor, "*B S"]) -> Float[Tensor, "*B S"]:
+    """Return weights by which to look for what lies between samples far apart.
+
+    A surface between two samples shows in the second one's weight alone, whose share of the way to the first is half.
+    So a sample has the mean of two maxima, of itself and the one before and of itself and the one after, as in mip-NeRF
+    (2021), without the constant added there.
+    """
+    pairs = torch.maximum(weights[..., 1:], weights[..., :-1])
+    pairs = torch.cat([weights[..., :1], pairs, weights[..., -1:]], dim=-1)
+    return 0.5 * (pairs[..., 1:] + pairs[..., :-1])
+
+
 def sample_spacings(depths: Float[Tensor, "*B S"], directions: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B S"]:
     """Return the length of ray that each sample stands for [m]; the last one, the backdrop, has all beyond."""
     lengths = (depths[..., 1:] - depths[..., :-1]) * directions.norm(dim=-1, keepdim=True)

@@ -25,6 +25,7 @@ from nerf_rl.pretrain.model.volume_rendering import (
     median_depth,
     rendering_weights,
     sample_spacings,
+    widened_weights,
 )
 
 _BINS = 48  # of depth, in which coarse rays remember where they met something
@@ -180,7 +181,7 @@ def _render_twice(field: ConditionedField, origin: Tensor, directions: Tensor, d
     """Render rays at sorted depths [m], and at some more where the first ones found something."""
     first = _evaluate(field, origin, directions, depths)
     weights = _weights(field, directions, depths, first[0], None)
-    more = importance_samples(depths, weights[:, :-1], _IMPORTANCE_SAMPLES)
+    more = importance_samples(depths, widened_weights(weights[:, :-1]), _IMPORTANCE_SAMPLES)
     second = _evaluate(field, origin, directions, more)
     every, order = torch.cat([depths, more], dim=-1).sort(-1)
     density = torch.cat([first[0], second[0]], dim=1).gather(1, order)

@@ -140,6 +140,18 @@ def test_importance_samples_in_training_need_even_ones():
         SamplingConfig(training_stratified=1, training_importance=8)
 
 
+def test_a_surface_anywhere_between_two_even_samples_is_closed_in_on_from_both_sides():
+    origins, directions, depth = rays()
+    sampling = SamplingConfig(rendering_stratified=12, rendering_importance=16)
+    rendered = rendering.render_without_depth(SphereField(), torch.full((2, 1), RADIUS), origins, directions, sampling)
+    spacing = (2.0 - 0.3) / 12
+    behind = (rendered.depths > depth[..., None]).int().argmax(-1, keepdim=True)  # the first sample behind the surface
+    found = (depth < 2.0) & (rendered.weights[..., -1] < 0.5)  # thinner than the spacing at its rim, it may be missed
+    gap = rendered.depths.gather(-1, behind) - rendered.depths.gather(-1, (behind - 1).clamp(min=0))
+    assert int(found.sum()) > 200
+    assert float((gap[..., 0][found] < spacing / 3).float().mean()) > 0.95
+
+
 def test_what_two_passes_found_is_what_one_pass_over_all_their_samples_finds():
     origins, directions, _ = rays()
     latent = torch.tensor([[RADIUS], [0.5 * RADIUS]])

@@ -16,6 +16,7 @@ from nerf_rl.pretrain.model.volume_rendering import (
     sample_spacings,
     stratified_samples,
     surface_samples,
+    widened_weights,
 )
 
 CPU = torch.device("cpu")
@@ -141,6 +142,17 @@ def test_importance_samples_of_an_empty_ray_are_spread_over_it():
     assert torch.isfinite(samples).all()
     assert float(samples.min()) < 1.05 and float(samples.max()) > 1.95
     assert float(samples.diff().max()) < 0.03
+
+
+def test_widened_weights_are_means_of_the_maxima_with_either_neighbour():
+    weights = torch.rand((2, 3, 7), generator=torch.Generator().manual_seed(0))
+    widened = widened_weights(weights)
+    for ray in np.ndindex(2, 3):
+        own = weights[ray].tolist()
+        for sample in range(7):
+            before, after = own[max(sample - 1, 0)], own[min(sample + 1, 6)]
+            expected = 0.5 * max(before, own[sample]) + 0.5 * max(own[sample], after)
+            assert float(widened[ray][sample]) == pytest.approx(expected)
 
 
 def test_compositing_is_the_weighted_sum():
