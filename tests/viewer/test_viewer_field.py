@@ -2,6 +2,7 @@
 
 import copy
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -60,6 +61,20 @@ def test_the_finest_image_is_what_the_plain_renderer_gives(
     assert plain.depth.std() > 0.1  # there is something to be wrong about
     assert np.abs(images[1].rgb - plain.rgb).mean() < 0.03
     assert np.abs(images[1].depth - plain.depth).mean() < apart
+
+
+@pytest.mark.parametrize("wall", np.linspace(1.0, 1.1, 7).tolist())
+def test_coarse_rays_close_in_on_a_surface_from_both_sides(wall: float) -> None:
+    class Wall(ConditionedField):
+        def __init__(self) -> None:
+            self.field = SimpleNamespace(bounds=SimpleNamespace(far=2.0))  # type: ignore[assignment]
+
+        def __call__(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+            return torch.where(points[:, 2] > wall, 2000.0, 0.0), points
+
+    every = torch.linspace(0.05, 1.95, 20)[None]
+    rays = progressive._render_twice(Wall(), torch.zeros(3), torch.tensor([[0.0, 0.0, 1.0]]), every)
+    assert rays.depths[rays.depths > wall].min() - rays.depths[rays.depths <= wall].max() < 0.045
 
 
 def test_a_newer_picture_cancels_the_finer_ones(encoded: EncodedDataset, frame: Frame) -> None:
