@@ -11,6 +11,7 @@ from torch.utils.data import Dataset
 
 from nerf_rl.cameras.geometry import camera_position, pixel_directions
 from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.stored_manifest import DEPTH
 from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.data.anchors import FollowedMiddles, countable_labels
 from nerf_rl.pretrain.data.segmentation import CellShares
@@ -63,6 +64,8 @@ class RayBatches(Dataset):
         self._frames = dataset.split("train")
         self._encoder_views = dataset.views("encoder")
         self._views = dataset.views("encoder", "supervision")
+        # a surface in front of where rays begin would be taught behind itself, where there may be nothing
+        self._nearest = 0.0 if DEPTH in dataset.absent else statistics.bounds.near
         self._middles = FollowedMiddles(dataset, statistics.anchors)
         self._shares = CellShares(statistics.anchors, config.encoder.patch)
 
@@ -76,7 +79,9 @@ class RayBatches(Dataset):
         images = rgb[:, self._encoder_views]
         projections = intrinsics[self._encoder_views] @ poses[:, self._encoder_views, :3]
 
-        counted = None if valid is None else valid[:, self._views]
+        counted = depth[:, self._views] >= self._nearest
+        if valid is not None:
+            counted &= valid[:, self._views]
         scene, view, row, column = self._draw_pixels(semantic[:, self._views], counted, rng)
         image = scene * depth.shape[1] + view
         flat_poses = np.ascontiguousarray(poses.reshape(-1, 4, 4))
@@ -111,11 +116,11 @@ class RayBatches(Dataset):
         )
 
     def _draw_pixels(
-        self, semantic: UInt8[ndarray, "B V H W"], valid: Bool[ndarray, "B V H W"] | None, rng: np.random.Generator
+        self, semantic: UInt8[ndarray, "B V H W"], counted: Bool[ndarray, "B V H W"], rng: np.random.Generator
     ) -> tuple[Int[ndarray, "M"], Int[ndarray, "M"], Int[ndarray, "M"], Int[ndarray, "M"]]:
         """Draw rays of each scene by the weights of their pixels' classes; return scene, view, row and column.
 
-        Pixels that do not count have no weight; all do if ``valid`` is None.
+        Pixels that do not count have no weight.
         Each scene's rays are drawn from a uniform sample of its pixels, which is much larger than the number of rays.
         """
         scenes, rays = self._config.scenes_per_step, self._config.rays_per_scene
@@ -123,8 +128,7 @@ class RayBatches(Dataset):
         candidates = rng.integers(flat.shape[1], size=(scenes, rays * _CANDIDATES_PER_RAY))[self._share]
         weights = self._statistics.class_weights.take(np.take_along_axis(flat, candidates, axis=1))
         weights *= self._statistics.pixel_weights.take(candidates)
-        if valid is not None:
-            weights *= np.take_along_axis(valid.reshape(len(valid), -1), candidates, axis=1)
+        weights *= np.take_along_axis(counted.reshape(len(counted), -1), candidates, axis=1)
         cumulative = np.cumsum(weights, axis=1)
         levels = rng.random((scenes, rays))[self._share] * cumulative[:, -1:]
         drawn = np.stack(

@@ -166,7 +166,9 @@ def _bounds(
     if not seen.any() and (sampling.near is None or sampling.far is None):
         raise UserError(f"{dataset.folder}: the encoder's cameras see nothing at all; look at it with nerf-rl view")
     nearest = NEAREST if DEPTH in dataset.absent else _NEAREST
-    near = sampling.near if sampling.near is not None else nearest * float(np.quantile(pixels.depth[seen], 0.001))
+    near = sampling.near  # of all cameras: one that moves may come close to what others see from afar
+    if near is None:
+        near = nearest * float(np.quantile(pixels.depth[hit], 0.001))
     far = sampling.far
     if far is None:
         far = _BACKDROP * float(np.median(pixels.depth[seen]))

@@ -144,8 +144,11 @@ def test_rays_are_drawn_more_often_where_the_class_changes_from_frame_to_frame(d
 
 def test_bounds_hold_what_the_encoders_cameras_see(dataset: MultiViewDataset, config):
     bounds = measure(dataset, config()).bounds
-    depth = dataset.read("depth", dataset.split("train"))[:, [1, 2]]
-    assert bounds.near < depth.min() and depth.min() < 2 * bounds.near
+    every = dataset.read("depth", dataset.split("train"))[:, [1, 2, 3]]
+    depth = every[:, :2]
+    assert np.quantile(every, 0.01) < 0.5 * depth.min()  # the camera that moves comes closer
+    assert bounds.near < depth.min() and every.min() < 2 * bounds.near
+    assert 0 <= (every < bounds.near).mean() < 0.002
     hit = depth < 0.99 * dataset.manifest["far"]
     assert 0.1 < (~hit).mean() < 0.3  # of the pixels show the sky
     assert bounds.far == pytest.approx(2.5 * np.median(depth[hit]), rel=1e-5)
@@ -168,6 +171,16 @@ def test_depth_limits_come_from_the_encoders_cameras_wherever_they_stand(dataset
     depth = dataset.read("depth", dataset.split("train"))[:, [2]]
     hit = depth < 0.99 * dataset.manifest["far"]
     assert measure(dataset, config()).bounds.far == pytest.approx(2.5 * np.median(depth[hit]), rel=1e-5)
+
+
+@pytest.mark.parametrize("near", [None, 0.7])
+def test_no_ray_tells_of_a_surface_before_its_beginning(dataset: MultiViewDataset, config, near: float | None):
+    settings = config(rays_per_scene=400, sampling=SamplingConfig(near=near))
+    nearest = measure(dataset, settings).bounds.near
+    drawn = torch.cat([batch_of(dataset, settings, step).depth for step in range(3)])
+    assert nearest <= float(drawn.min()) < 1.5 * nearest  # such as there are in the pictures
+    if near is not None:
+        assert 0.01 < (dataset.read("depth", dataset.split("train"))[:, [1, 2, 3]] < near).mean()
 
 
 def test_epochs_divide_the_steps_among_them_and_validation_frames_are_held_out(dataset: MultiViewDataset, config):
