@@ -28,7 +28,7 @@ from nerf_rl.pretrain.model.field import RadianceField
 from nerf_rl.pretrain.model.ray_rendering import render_images
 from tools.compare.precision import processor
 from tools.compare.tasks import things
-from tools.readme_tables import markdown_table, replace_tables, task_name
+from tools.readme_tables import markdown_table, probe_errors, replace_tables, task_name
 
 RESULT, README = Path("pretrain/results/renderings.json"), Path("pretrain/README.md")
 COMMAND = "python -m tools.compare.renderings NAME RUNS --frames FRAMES --stratified STRATIFIED"
@@ -63,11 +63,12 @@ def measure(run: Path, arguments: argparse.Namespace) -> list[dict[str, Any]]:
     sampling = SamplingConfig(**config["sampling"])
     if arguments.stratified:
         sampling = replace(sampling, rendering_stratified=arguments.stratified)
+    summary = read_json(run / SUMMARY)
     about = {
         "scene": dataset.manifest["scene"]["name"],
         "size": dataset.manifest["height"],
         "seed": config["seed"],
-        "steps": read_json(run / SUMMARY)["steps"],
+        "steps": summary["steps"],
         "rendering": arguments.name,
         "samples": f"{sampling.rendering_stratified} + {sampling.rendering_importance}",
         "frames": len(frames),
@@ -81,6 +82,7 @@ def measure(run: Path, arguments: argparse.Namespace) -> list[dict[str, Any]]:
         found = measures.compute()
         assert found is not None
         rows.append({**about, "role": role, **found.figures, "class_iou": found.class_iou, **made_by})
+    rows[0]["probe"] = summary["probe"]
     return rows
 
 
@@ -118,8 +120,10 @@ def table(rows: list[dict[str, Any]]) -> str:
         about = [task_name(row["scene"]), row["size"], f"{row['steps']:,}", ROLES[row["role"]]]
         about += [row["rendering"], row["samples"]]
         figures = [f"{row['psnr_db']:.1f}", f"{row['ssim']:.3f}", f"{row['miou']:.3f}"]
-        lines.append([*about, *figures, f"{100 * row['depth_mae_m']:.1f}", things(row)])
-    return markdown_table([*header, "depth error [cm]", "IoU of the classes"], lines)
+        lines.append(
+            [*about, *figures, f"{100 * row['depth_mae_m']:.1f}", things(row), probe_errors(row.get("probe", {}))]
+        )
+    return markdown_table([*header, "depth error [cm]", "IoU of the classes", "probe [mm]"], lines)
 
 
 if __name__ == "__main__":
