@@ -114,10 +114,10 @@ def key(row: dict[str, Any]) -> tuple[Any, ...]:
 
 def table(rows: list[dict[str, Any]]) -> str:
     """Return a row for the cameras of each role of each run by each rendering."""
-    header = ["scene", "size", "steps", "seen from", "rendering", "samples", "PSNR [dB]", "SSIM", "mIoU"]
+    header = ["scene", "size", "seed", "steps", "seen from", "rendering", "samples", "PSNR [dB]", "SSIM", "mIoU"]
     lines = []
     for row in rows:
-        about = [task_name(row["scene"]), row["size"], f"{row['steps']:,}", ROLES[row["role"]]]
+        about = [task_name(row["scene"]), row["size"], row["seed"], f"{row['steps']:,}", ROLES[row["role"]]]
         about += [row["rendering"], row["samples"]]
         figures = [f"{row['psnr_db']:.1f}", f"{row['ssim']:.3f}", f"{row['miou']:.3f}"]
         lines.append(
