@@ -29,11 +29,12 @@ from nerf_rl.pretrain.model.ray_rendering import render_images
 from tools.compare.precision import processor
 from tools.compare.tasks import things
 from tools.readme_tables import markdown_table, probe_errors, replace_tables, task_name
+from tools.record.full_size import ROLES as OTHER_ROLES
 
 RESULT, README = Path("pretrain/results/renderings.json"), Path("pretrain/README.md")
 COMMAND = "python -m tools.compare.renderings NAME RUNS --frames FRAMES --stratified STRATIFIED"
-ROLES = {"encoder": "the encoder's cameras", "test": "a camera that the run never saw", "supervision": "random poses"}
-MOST_VIEWS = {"encoder": 1000, "test": 2, "supervision": 2}  # as in validation
+ROLES = {"encoder": "the encoder's cameras", **OTHER_ROLES}
+MOST_OTHER_VIEWS = 2  # of a role, as in validation
 
 
 def main() -> None:
@@ -77,8 +78,9 @@ def measure(run: Path, arguments: argparse.Namespace) -> list[dict[str, Any]]:
     rows = []
     for role in (role for role in ROLES if dataset.views(role)):
         measures = PictureMeasures(dataset.class_names, field.bounds.far)
+        views = dataset.views(role)[: None if role == "encoder" else MOST_OTHER_VIEWS]
         for frame in frames:
-            add_frame(measures, dataset, frame, dataset.views(role)[: MOST_VIEWS[role]], encoder, field, sampling)
+            add_frame(measures, dataset, frame, views, encoder, field, sampling)
         found = measures.compute()
         assert found is not None
         rows.append({**about, "role": role, **found.figures, "class_iou": found.class_iou, **made_by})

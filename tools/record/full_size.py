@@ -17,7 +17,7 @@ from tools.readme_tables import markdown_table, probe_errors, replace_tables
 from tools.record.demo import read_result
 
 RESULT, README = Path("pretrain/results/full_size.json"), Path("pretrain/README.md")
-_ROLES = {"test": "a camera that the run never saw", "supervision": "random poses"}
+ROLES = {"test": "a camera that the run never saw", "supervision": "random poses"}
 
 
 def main() -> None:
@@ -52,7 +52,7 @@ def table(runs: list[dict[str, Any]]) -> str:
         drawn = run.get("quality", "fast")  # runs of before there were others do not tell
         rows.append([drawn, f"{run['steps']:,}", f"{run['training_seconds'] / 60:.0f}", "the encoder's cameras"])
         rows[-1] += [*pictures(run["validation"]), probe]
-        rows += [["", "", "", told, *pictures(others[role]), ""] for role, told in _ROLES.items() if role in others]
+        rows += [["", "", "", told, *pictures(others[role]), ""] for role, told in ROLES.items() if role in others]
     return markdown_table(header, rows)
 
 

@@ -79,10 +79,7 @@ class RayBatches(Dataset):
         images = rgb[:, self._encoder_views]
         projections = intrinsics[self._encoder_views] @ poses[:, self._encoder_views, :3]
 
-        counted = depth[:, self._views] >= self._nearest
-        if valid is not None:
-            counted &= valid[:, self._views]
-        scene, view, row, column = self._draw_pixels(semantic[:, self._views], counted, rng)
+        scene, view, row, column = self._draw_pixels(semantic, depth, valid, rng)
         image = scene * depth.shape[1] + view
         flat_poses = np.ascontiguousarray(poses.reshape(-1, 4, 4))
         flat_intrinsics = np.broadcast_to(intrinsics, (len(frames), *intrinsics.shape)).reshape(-1, 3, 3)
@@ -116,27 +113,38 @@ class RayBatches(Dataset):
         )
 
     def _draw_pixels(
-        self, semantic: UInt8[ndarray, "B V H W"], counted: Bool[ndarray, "B V H W"], rng: np.random.Generator
+        self,
+        semantic: UInt8[ndarray, "B V H W"],
+        depth: Float[ndarray, "B V H W"],
+        valid: Bool[ndarray, "B V H W"] | None,
+        rng: np.random.Generator,
     ) -> tuple[Int[ndarray, "M"], Int[ndarray, "M"], Int[ndarray, "M"], Int[ndarray, "M"]]:
         """Draw rays of each scene by the weights of their pixels' classes; return scene, view, row and column.
 
-        Pixels that do not count have no weight.
-        Each scene's rays are drawn from a uniform sample of its pixels, which is much larger than the number of rays.
+        Pixels that do not count, or show what is before the beginning of rays, have no weight; all count if ``valid``
+        is None. Each scene's rays are drawn from a uniform sample of its pixels, which is much larger than the number
+        of rays.
         """
         scenes, rays = self._config.scenes_per_step, self._config.rays_per_scene
-        flat = semantic.reshape(len(semantic), -1)
-        candidates = rng.integers(flat.shape[1], size=(scenes, rays * _CANDIDATES_PER_RAY))[self._share]
-        weights = self._statistics.class_weights.take(np.take_along_axis(flat, candidates, axis=1))
+        area = semantic[0, 0].size
+        candidates = rng.integers(len(self._views) * area, size=(scenes, rays * _CANDIDATES_PER_RAY))[self._share]
+        place = np.take(self._views, candidates // area) * area + candidates % area
+
+        def shown(images: ndarray) -> ndarray:
+            return np.take_along_axis(images.reshape(len(images), -1), place, axis=1)
+
+        weights = self._statistics.class_weights.take(shown(semantic))
         weights *= self._statistics.pixel_weights.take(candidates)
-        weights *= np.take_along_axis(counted.reshape(len(counted), -1), candidates, axis=1)
+        weights *= shown(depth) >= self._nearest
+        if valid is not None:
+            weights *= shown(valid)
         cumulative = np.cumsum(weights, axis=1)
         levels = rng.random((scenes, rays))[self._share] * cumulative[:, -1:]
         drawn = np.stack(
             [np.searchsorted(row, level, side="right") for row, level in zip(cumulative, levels, strict=True)]
         )
-        pixel = np.take_along_axis(candidates, np.minimum(drawn, candidates.shape[1] - 1), axis=1).ravel()
-        view, row, column = np.unravel_index(pixel, semantic.shape[1:])
-        return np.repeat(np.arange(len(semantic)), rays), np.asarray(self._views)[view], row, column
+        pixel = np.take_along_axis(place, np.minimum(drawn, place.shape[1] - 1), axis=1).ravel()
+        return np.repeat(np.arange(len(semantic)), rays), *np.unravel_index(pixel, semantic.shape[1:])
 
 
 def step_random(config: PretrainConfig, step: int) -> np.random.Generator:
