@@ -144,7 +144,8 @@ class RayBatches(Dataset):
             [np.searchsorted(row, level, side="right") for row, level in zip(cumulative, levels, strict=True)]
         )
         pixel = np.take_along_axis(place, np.minimum(drawn, place.shape[1] - 1), axis=1).ravel()
-        return np.repeat(np.arange(len(semantic)), rays), *np.unravel_index(pixel, semantic.shape[1:])
+        view, row, column = np.unravel_index(pixel, semantic.shape[1:])
+        return np.repeat(np.arange(len(semantic)), rays), view, row, column
 
 
 def step_random(config: PretrainConfig, step: int) -> np.random.Generator:
