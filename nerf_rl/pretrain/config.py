@@ -87,6 +87,8 @@ class SamplingConfig:
     """nearest planar depth [m]; from the data's depth if null"""
     far: float | None = None
     """depth beyond which everything is one backdrop [m]; from the data's depth if null"""
+    scene_box: bool = True
+    """rays are evaluated within the box of all that the data's depth shows before the backdrop, and not outside"""
     training_stratified: Count = 4
     """samples a training ray, evenly between near and far"""
     training_free_space: Natural = 3

@@ -35,11 +35,11 @@ def frame(encoded: EncodedDataset) -> Frame:
 
 
 def with_surfaces(field: RadianceField, latent: torch.Tensor) -> RadianceField:
-    """Return a field that is solid where the given one is densest, in a third of its box, and empty elsewhere."""
+    """Return a field that is solid where the given one is densest, in a fifth of its box, and empty elsewhere."""
     points = 2 * torch.rand(1, 4000, 3, generator=torch.Generator().manual_seed(0)) - 1
     solid = copy.deepcopy(field).requires_grad_(False)
     density = solid(solid.centre + solid.bounds.half_extent * points, latent[None])[0] / solid.density_scale
-    least = density.expm1().log().quantile(2 / 3)  # before softplus
+    least = density.expm1().log().quantile(0.8)  # before softplus
     solid.density_head.bias -= least
     solid.density_head.weight *= 100.0
     solid.density_head.bias *= 100.0

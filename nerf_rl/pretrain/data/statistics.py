@@ -30,6 +30,7 @@ _HIT = 0.999  # of the far plane: what is nearer was hit by a ray, not missed by
 _NEAREST = 0.8  # of the nearest depth that is hit
 _BACKDROP = FARTHEST  # in median depths of what is hit
 _BACKDROP_OF_THINGS = 10.0  # in median depths of what is not background
+_BOX_MARGIN = 0.05  # of its longest edge: not all frames are looked at
 _BACKGROUND = 0  # class id
 
 
@@ -187,4 +188,14 @@ def _bounds(
     surface = camera_position(poses)[frame, view] + depth[:, None] * directions
     low, high = np.quantile(surface, [0.05, 0.95], axis=0)
     centre = [float(value) for value in 0.5 * (low + high)]
-    return FieldBounds(near, far, (centre[0], centre[1], centre[2]), float((high - low).max() / 2))
+    boxed = sampling.scene_box and DEPTH not in dataset.absent
+    corners = _corners(surface) if boxed else (None, None)
+    return FieldBounds(near, far, (centre[0], centre[1], centre[2]), float((high - low).max() / 2), *corners)
+
+
+def _corners(surface: Float[ndarray, "M 3"]) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Return the low and the high corner of the box of all points [m] of surfaces."""
+    low, high = surface.min(axis=0), surface.max(axis=0)
+    margin = _BOX_MARGIN * (high - low).max()
+    (a, b, c), (d, e, f) = (low - margin).tolist(), (high + margin).tolist()
+    return (a, b, c), (d, e, f)

@@ -4,7 +4,7 @@ import math
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -25,10 +25,10 @@ _DENSITY_SCALE = 10.0  # so that the network's outputs of order one are both emp
 
 @dataclass(frozen=True)
 class FieldBounds:
-    """Where the field lives: sampled depths, and the box that is mapped to the unit cube.
+    """Where the field lives: sampled depths, the box of all that is seen, and the one that is mapped to the unit cube.
 
-    The box stands in the world, or in the tracking frame of a dataset whose encoder's cameras follow a body
-    (:mod:`nerf_rl.cameras.tracking_frame`); there it travels with the body.
+    The boxes stand in the world, or in the tracking frame of a dataset whose encoder's cameras follow a body
+    (:mod:`nerf_rl.cameras.tracking_frame`); there they travel with the body.
     """
 
     near: float
@@ -36,9 +36,17 @@ class FieldBounds:
     far: float
     """planar depth of the backdrop [m]"""
     centre: tuple[float, float, float]
-    """of the box [m]"""
+    """of the box that is mapped to the unit cube [m]"""
     half_extent: float
-    """of the box [m]"""
+    """of that box [m]"""
+    low: tuple[float, float, float] | None = None
+    """corner of the box outside of which nothing is evaluated [m]; none if there is no such box"""
+    high: tuple[float, float, float] | None = None
+    """its opposite corner [m]"""
+
+    def corners(self) -> Float[Tensor, "2 3"]:
+        """Return the low and the high corner [m], infinitely far away if there is no such box."""
+        return torch.tensor([self.low or (-math.inf,) * 3, self.high or (math.inf,) * 3])
 
 
 class Folded(NamedTuple):
@@ -82,6 +90,7 @@ class RadianceField(nn.Module):
     octaves: Tensor
     octave_weights: Tensor
     centre: Tensor
+    corners: Tensor
 
     def __init__(
         self,
@@ -119,6 +128,7 @@ class RadianceField(nn.Module):
         # in moving frames; stored, since what was learnt goes with them
         self.register_buffer("octave_weights", torch.ones(config.frequencies))
         self.register_buffer("centre", torch.tensor(bounds.centre), persistent=False)
+        self.register_buffer("corners", bounds.corners(), persistent=False)
 
     def set_coarse_to_fine(self, share: float) -> None:
         """Let moving frames see their coarsest octaves (``share`` 0), all of them (1), or something between.
@@ -135,6 +145,21 @@ class RadianceField(nn.Module):
     ) -> tuple[Float[Tensor, "B N"], Float[Tensor, "B N W"]]:
         """Return density [1/m] and features at world points [m] of B scenes with N points each."""
         return self.evaluate(points, self.fold(latent))
+
+    def ray_limits(
+        self, origins: Float[Tensor, "*B 3"], directions: Float[Tensor, "*B 3"]
+    ) -> tuple[Float[Tensor, "*B"], Float[Tensor, "*B"]]:
+        """Return between which planar depths [m] rays are evaluated: within near, far and the box of all that is seen.
+
+        Those that miss the box are evaluated all along. The intersection is that of slabs (Kay and Kajiya 1986).
+        """
+        slope = torch.where(directions == 0.0, 1e-12, directions)
+        first, second = (self.corners[:, None] - origins.reshape(-1, 3)) / slope.reshape(-1, 3)
+        shape, (near, far) = origins.shape[:-1], (self.bounds.near, self.bounds.far)
+        entry = torch.minimum(first, second).amax(-1).clamp(min=near).reshape(shape)
+        leave = torch.maximum(first, second).amin(-1).clamp(max=far).reshape(shape)
+        hit = entry < leave
+        return torch.where(hit, entry, near), torch.where(hit, leave, far)
 
     def origins(self, latent: Float[Tensor, "B Z"]) -> Float[Tensor, "B F 3"]:
         """Return where in the world the frames are [m]."""
@@ -246,7 +271,7 @@ class RadianceField(nn.Module):
         """
         described = read_field_description(folder)
         config = FieldConfig(**{"object_plane_size": 0, **described["config"]})  # none before they were there
-        bounds = FieldBounds(**{**described["bounds"], "centre": tuple(described["bounds"]["centre"])})
+        bounds = FieldBounds(**{name: _as_tuple(value) for name, value in described["bounds"].items()})
         sizes = {name: described[name] for name in ("latent", "classes", "teacher_features", "anchors")}
 
         def make() -> RadianceField:
@@ -256,6 +281,10 @@ class RadianceField(nn.Module):
         if frames := described["anchors"] + config.free_frames:
             tensors.setdefault("frame_origins.units", torch.ones(frames))  # one for all, before there were more
         return filled(make, tensors, folder / WEIGHTS).eval()
+
+
+def _as_tuple(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
 
 
 def contract(x: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3"]:

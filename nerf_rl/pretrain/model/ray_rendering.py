@@ -103,12 +103,12 @@ def render_depth_guided(
     Those before the surface tell the field what is empty where something might have been. With importance samples as
     well, or instead, rays are looked for as if their depth were unknown: where those everywhere found density.
     """
-    near, far = field.bounds.near, field.bounds.far
+    near, far = field.ray_limits(origins, directions)
     even = stratified_samples(near, far, noise.even)
-    before = free_space_samples(depth, config.free_space_reach, near, noise.before)
+    before = free_space_samples(torch.minimum(depth, far), config.free_space_reach, near, noise.before)
     around = surface_samples(depth, config.surface_deviation, near, far, noise.around)
     found = _found_density(field, latent, origins, directions, even, config.training_importance)
-    backdrop = torch.full_like(depth[..., None], far)
+    backdrop = torch.full_like(depth[..., None], field.bounds.far)
     depths = torch.cat([torch.cat([even, before, around, found], dim=-1).sort(-1).values, backdrop], dim=-1)
     return render_at(field, latent, origins, directions, depths)
 
@@ -125,12 +125,12 @@ def render_without_depth(
 
     The field is asked once for each. What it says of the even samples counts in the picture, too.
     """
-    near, far = field.bounds.near, field.bounds.far
+    near, far = field.ray_limits(origins, directions)
     even = even_samples(near, far, tuple(origins.shape[:2]), config.rendering_stratified, origins.device)
     density, features = _evaluate(field, latent, origins, directions, even)
     found = widened_weights(rendering_weights(density, sample_spacings(even, directions)))
     fine = importance_samples(even, found, config.rendering_importance)
-    finer = torch.cat([fine, torch.full_like(even[..., :1], far)], dim=-1)  # the backdrop is the last
+    finer = torch.cat([fine, torch.full_like(even[..., :1], field.bounds.far)], dim=-1)  # the backdrop is the last
     finer_density, finer_features = _evaluate(field, latent, origins, directions, finer)
     depths, order = torch.cat([even, finer], dim=-1).sort(dim=-1, stable=True)
     density = torch.cat([density, finer_density], dim=-1).gather(-1, order)

@@ -11,15 +11,18 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+Limit = float | Float[Tensor, "*B"]
+"""a planar depth [m], of all rays or of each"""
+
 
 def even_samples(
-    near: float, far: float, shape: tuple[int, ...], count: int, device: torch.device
+    near: Limit, far: Limit, shape: tuple[int, ...], count: int, device: torch.device
 ) -> Float[Tensor, "*B S"]:
     """Return the centres of ``count`` equal bins between near and far [m]."""
     return stratified_samples(near, far, torch.full((*shape, count), 0.5, device=device))
 
 
-def stratified_samples(near: float, far: float, offsets: Float[Tensor, "*B S"]) -> Float[Tensor, "*B S"]:
+def stratified_samples(near: Limit, far: Limit, offsets: Float[Tensor, "*B S"]) -> Float[Tensor, "*B S"]:
     """Return one depth in each of S equal bins between near and far [m].
 
     Args:
@@ -28,25 +31,30 @@ def stratified_samples(near: float, far: float, offsets: Float[Tensor, "*B S"]) 
     """
     count = offsets.shape[-1]
     edges = torch.arange(count, device=offsets.device, dtype=torch.float32)
+    near, far = _by_sample(near), _by_sample(far)
     return near + (far - near) * (edges + offsets) / count
 
 
 def surface_samples(
-    depth: Float[Tensor, "*B"], deviation: float, near: float, far: float, noise: Float[Tensor, "*B S"]
+    depth: Float[Tensor, "*B"], deviation: float, near: Limit, far: Limit, noise: Float[Tensor, "*B S"]
 ) -> Float[Tensor, "*B S"]:
     """Return depths around a known surface [m], within near and far; ``noise`` is in units of ``deviation`` [m]."""
-    return (depth[..., None] + deviation * noise).clamp(near, far)
+    return (depth[..., None] + deviation * noise).clamp(_by_sample(near), _by_sample(far))  # type: ignore[arg-type]
 
 
 def free_space_samples(
-    depth: Float[Tensor, "*B"], reach: float, near: float, offsets: Float[Tensor, "*B S"]
+    depth: Float[Tensor, "*B"], reach: float, near: Limit, offsets: Float[Tensor, "*B S"]
 ) -> Float[Tensor, "*B S"]:
     """Return depths on the last stretch before a known surface [m], denser towards it.
 
     They are ``depth - reach u^2``, with u stratified in [0, 1] by ``offsets`` in [0, 1].
     """
     u = stratified_samples(0.0, 1.0, offsets)
-    return (depth[..., None] - reach * u**2).clamp_min(near)
+    return (depth[..., None] - reach * u**2).clamp_min(_by_sample(near))
+
+
+def _by_sample(limit: Limit) -> Tensor | float:
+    return limit[..., None] if isinstance(limit, Tensor) else limit
 
 
 def importance_samples(

@@ -109,7 +109,8 @@ def render_progressively(
     device = field.latent.device
     origin, directions = camera.rays(height, width, device)
     spacing = (far - near) / _COARSE_SAMPLES
-    every = even_samples(near, far, (height * width,), _COARSE_SAMPLES, device)
+    limits = field.field.ray_limits(origin.expand_as(directions), directions)
+    every = even_samples(*limits, (height * width,), _COARSE_SAMPLES, device)
     rays = _in_chunks(
         lambda part: _render_twice(field, origin, directions[part], every[part]), len(every), stale, device
     )

@@ -1,14 +1,17 @@
 """Where the field lives: it follows from what is hit, however much empty background there is."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from nerf_rl import cli
+from nerf_rl.cameras.geometry import camera_position, pixel_centres, pixel_directions
 from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.stored_manifest import DEPTH
 from nerf_rl.errors import UserError
-from nerf_rl.pretrain.config import PretrainConfig
+from nerf_rl.pretrain.config import PretrainConfig, SamplingConfig
 from nerf_rl.pretrain.data import statistics
 from nerf_rl.pretrain.data.statistics import class_change, measure
 from nerf_rl.scenes.make import make_scene
@@ -28,6 +31,33 @@ def test_empty_background_does_not_stretch_the_box(scene: str, tmp_path: Path):
     assert bounds.half_extent < 2.5 * workspace.radius
     things = dataset.read("state/privileged").reshape(len(dataset), -1, 3) - np.array(bounds.centre)
     assert (np.abs(things) < 2 * bounds.half_extent).all()
+
+
+def test_the_box_holds_all_that_is_seen_before_the_backdrop(tiny_dataset: Path):
+    dataset = MultiViewDataset(tiny_dataset)
+    bounds = measure(dataset, CONFIG).bounds
+    low, high = bounds.corners().numpy()
+    frames, views = dataset.split("train"), dataset.views("encoder", "supervision")
+    intrinsics, poses = (cameras[..., views, :, :] for cameras in dataset.tracked_cameras(frames))
+    depth = dataset.read("depth", frames)[:, views]
+    pixels = np.broadcast_to(pixel_centres(*depth.shape[2:]), (len(frames), len(views), depth[0, 0].size, 2))
+    directions = pixel_directions(np.broadcast_to(intrinsics, poses[..., :3, :3].shape), poses, pixels)
+    surface = camera_position(poses)[:, :, None] + depth.reshape(*depth.shape[:2], -1, 1) * directions
+    seen = surface[depth.reshape(*depth.shape[:2], -1) < bounds.far]
+    assert len(seen) > 10_000
+    within = ((seen > low) & (seen < high)).all(-1)
+    assert within.mean() > 0.999
+    assert (np.ptp(seen, axis=0) > 0.8 * (high - low)).all()  # and little else
+
+
+def test_there_is_no_box_where_it_is_not_asked_for_or_depth_is_unknown(
+    tiny_dataset: Path, monkeypatch: pytest.MonkeyPatch
+):
+    dataset = MultiViewDataset(tiny_dataset)
+    whole = measure(dataset, replace(CONFIG, sampling=SamplingConfig(scene_box=False))).bounds
+    assert whole.low is None and whole.high is None
+    monkeypatch.setattr(MultiViewDataset, "absent", property(lambda _: frozenset({DEPTH})))
+    assert measure(dataset, CONFIG).bounds.low is None
 
 
 def test_cameras_that_see_nothing_are_told(tiny_dataset: Path, monkeypatch: pytest.MonkeyPatch):

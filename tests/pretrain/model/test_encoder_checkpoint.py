@@ -142,7 +142,7 @@ def test_a_changed_byte_of_a_weight_is_found(run: Path):
 
 @pytest.mark.parametrize(
     "name, load, format, readable",
-    [("encoder", Encoder.load, 3, "2 and 3"), ("field", RadianceField.load, 3, "2 and 3")],
+    [("encoder", Encoder.load, 3, "2 and 3"), ("field", RadianceField.load, 4, "2, 3 and 4")],
 )
 def test_an_unknown_format_is_told(run: Path, name: str, load: Any, format: int, readable: str):
     path = run / f"{name}.json"

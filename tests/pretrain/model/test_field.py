@@ -1,11 +1,13 @@
 """The radiance field: contraction, heads, dependence on z, storage."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
+from nerf_rl.errors import MissingFileError
 from nerf_rl.files.tensor_files import read_tensors, write_tensors
 from nerf_rl.pretrain.config import FieldConfig
 from nerf_rl.pretrain.model.field import FieldBounds, RadianceField, contract
@@ -126,6 +128,57 @@ def test_a_field_of_before_object_planes_has_none(tmp_path: Path):
     loaded = RadianceField.load(tmp_path)
     points, latent = points_and_latents()
     assert loaded.object_planes is None and torch.equal(loaded(points, latent)[1], field(points, latent)[1])
+
+
+def boxed(low: tuple[float, float, float], high: tuple[float, float, float]) -> RadianceField:
+    config = FieldConfig(width=12, layers=3, frequencies=3, plane_size=6, plane_features=2)
+    return RadianceField(config, replace(BOUNDS, low=low, high=high), latent=5, classes=4, teacher_features=3)
+
+
+def test_rays_are_evaluated_between_where_they_enter_the_box_and_where_they_leave_it():
+    field = boxed((-1.0, -1.0, 0.0), (1.0, 1.0, 0.5))
+    above, inside, below = torch.tensor([[0.0, 0.0, 1.5], [0.0, 0.0, 0.25], [0.0, 0.0, -0.1]])
+    down, slanted, level = torch.tensor([[0.0, 0.0, -1.0], [1.2, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    expected = [
+        (above, down, 1.0, 1.5),
+        (above, slanted, 0.4, 2.0),  # it would enter at 1.0 and leave by the side at 1 / 1.2, before that
+        (above, level, 0.4, 2.0),
+        (inside, level, 0.4, 1.0),  # as near as rays begin
+        (inside, 0.25 * level, 0.4, 2.0),  # as far as they go
+        (below, -0.1 * down, 1.0, 2.0),
+        (below, down, 0.4, 2.0),
+    ]
+    origins, directions = (torch.stack([row[i] for row in expected]) for i in (0, 1))
+    near, far = field.ray_limits(origins[None], directions[None])
+    torch.testing.assert_close(near, torch.tensor([[row[2] for row in expected]]))
+    torch.testing.assert_close(far, torch.tensor([[row[3] for row in expected]]))
+
+
+def test_without_a_box_rays_are_evaluated_all_along(field: RadianceField):
+    points, _ = points_and_latents()
+    directions = torch.randn(points.shape) * torch.tensor([1.0, 0.0, 1.0])
+    near, far = field.ray_limits(points, directions)
+    assert near.shape == points.shape[:-1] and (near == BOUNDS.near).all() and (far == BOUNDS.far).all()
+
+
+def test_the_box_is_kept_with_the_field(tmp_path: Path):
+    field = boxed((-1.0, -2.0, 0.0), (1.0, 1.0, 0.5))
+    field.save(tmp_path)
+    assert RadianceField.load(tmp_path).bounds == field.bounds
+    described = json.loads((tmp_path / "field.json").read_text())
+    for bounds in ({"low": [1.0, 0.0, 0.0]}, {"high": None}, {"low": [0.0, 0.0]}):
+        changed = described | {"bounds": described["bounds"] | bounds}
+        (tmp_path / "field.json").write_text(json.dumps(changed))
+        with pytest.raises(MissingFileError, match=r"it is damaged \(bounds\.low"):
+            RadianceField.load(tmp_path)
+
+
+def test_a_field_of_before_the_box_is_evaluated_all_along(field: RadianceField, tmp_path: Path):
+    field.save(tmp_path)
+    described = json.loads((tmp_path / "field.json").read_text())
+    del described["bounds"]["low"], described["bounds"]["high"]
+    (tmp_path / "field.json").write_text(json.dumps(described | {"format": 3}))
+    assert RadianceField.load(tmp_path).bounds == BOUNDS
 
 
 def test_heads_after_compositing_equal_heads_before(field: RadianceField):

@@ -1,5 +1,7 @@
 """Rendering of a field that is known: a sphere in empty space, whose silhouette and depth are analytic."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -22,6 +24,7 @@ class SphereField(RadianceField):
     def __init__(self) -> None:
         nn.Module.__init__(self)
         self.bounds = FieldBounds(0.3, 2.0, CENTRE, 1.0)
+        self.corners = self.bounds.corners()
 
     def forward(self, points: Tensor, latent: Tensor) -> tuple[Tensor, Tensor]:
         inside = (points - torch.tensor(CENTRE)).norm(dim=-1) < latent[:, :1]
@@ -150,6 +153,28 @@ def test_a_surface_anywhere_between_two_even_samples_is_closed_in_on_from_both_s
     gap = rendered.depths.gather(-1, behind) - rendered.depths.gather(-1, (behind - 1).clamp(min=0))
     assert int(found.sum()) > 200
     assert float((gap[..., 0][found] < spacing / 3).float().mean()) > 0.95
+
+
+def test_samples_are_within_the_box_of_what_is_seen():
+    """A few even ones then find what many do all along the rays."""
+    origins, directions, depth = rays()
+    latent, field = torch.full((2, 1), RADIUS), SphereField()
+    low, high = (tuple(c + sign * 1.2 * RADIUS for c in CENTRE) for sign in (-1.0, 1.0))
+    field.bounds = replace(field.bounds, low=low, high=high)
+    field.corners = field.bounds.corners()
+    near, far = field.ray_limits(origins, directions)
+    meets = far - near < 1.0
+    assert 0.2 < float(meets.float().mean()) < 0.8
+    sampling = SamplingConfig(training_stratified=4, rendering_stratified=12, rendering_importance=16)
+    free = rendering.render_depth_guided(field, latent, origins, directions, depth, SAMPLING, noise(0))
+    found = rendering.render_without_depth(field, latent, origins, directions, sampling)
+    for rendered in (free, found):
+        samples = rendered.depths[..., :-1]
+        assert (samples >= near[..., None]).all() and (samples <= far[..., None]).all()
+        assert (rendered.depths[..., -1] == 2.0).all()
+        assert float(((rendered.values["semantic"].argmax(-1) == 1) == (depth < 2.0)).float().mean()) > 0.98
+    hit = (depth < 2.0) & (found.values["semantic"].argmax(-1) == 1)
+    assert float((found.depth - depth)[hit].abs().median()) < 0.005
 
 
 def test_what_two_passes_found_is_what_one_pass_over_all_their_samples_finds():
