@@ -22,6 +22,9 @@ class ConditionedField:
 
     @torch.inference_mode()
     def __call__(self, points: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, "N"], Float[Tensor, "N W"]]:
-        """Return density [1/m] and features at world points [m]."""
+        """Return density [1/m] and features at world points [m]; density is zero where no ray of training came.
+
+        That is outside of the box of all that is seen, where the network was told nothing.
+        """
         density, features = self.field.evaluate(points[None], self._folded)
-        return density[0], features[0]
+        return density[0] * self.field.in_box(points), features[0]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
@@ -151,7 +151,8 @@ class RadianceField(nn.Module):
     ) -> tuple[Float[Tensor, "*B"], Float[Tensor, "*B"]]:
         """Return between which planar depths [m] rays are evaluated: within near, far and the box of all that is seen.
 
-        Those that miss the box are evaluated all along. The intersection is that of slabs (Kay and Kajiya 1986).
+        Those that miss the box have both at ``far``: they see the backdrop alone. The intersection is that of slabs
+        (Kay and Kajiya 1986).
         """
         slope = torch.where(directions == 0.0, 1e-12, directions)
         first, second = (self.corners[:, None] - origins.reshape(-1, 3)) / slope.reshape(-1, 3)
@@ -159,7 +160,11 @@ class RadianceField(nn.Module):
         entry = torch.minimum(first, second).amax(-1).clamp(min=near).reshape(shape)
         leave = torch.maximum(first, second).amin(-1).clamp(max=far).reshape(shape)
         hit = entry < leave
-        return torch.where(hit, entry, near), torch.where(hit, leave, far)
+        return torch.where(hit, entry, far), torch.where(hit, leave, far)
+
+    def in_box(self, points: Float[Tensor, "*B 3"]) -> Bool[Tensor, "*B"]:
+        """Return which world points [m] are in the box of all that is seen; all, if there is no such box."""
+        return ((points >= self.corners[0]) & (points <= self.corners[1])).all(-1)
 
     def origins(self, latent: Float[Tensor, "B Z"]) -> Float[Tensor, "B F 3"]:
         """Return where in the world the frames are [m]."""

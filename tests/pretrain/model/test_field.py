@@ -141,12 +141,12 @@ def test_rays_are_evaluated_between_where_they_enter_the_box_and_where_they_leav
     down, slanted, level = torch.tensor([[0.0, 0.0, -1.0], [1.2, 0.0, -1.0], [1.0, 0.0, 0.0]])
     expected = [
         (above, down, 1.0, 1.5),
-        (above, slanted, 0.4, 2.0),  # it would enter at 1.0 and leave by the side at 1 / 1.2, before that
-        (above, level, 0.4, 2.0),
+        (above, slanted, 2.0, 2.0),  # it would enter at 1.0 and leave by the side at 1 / 1.2, before that
+        (above, level, 2.0, 2.0),
         (inside, level, 0.4, 1.0),  # as near as rays begin
         (inside, 0.25 * level, 0.4, 2.0),  # as far as they go
         (below, -0.1 * down, 1.0, 2.0),
-        (below, down, 0.4, 2.0),
+        (below, down, 2.0, 2.0),
     ]
     origins, directions = (torch.stack([row[i] for row in expected]) for i in (0, 1))
     near, far = field.ray_limits(origins[None], directions[None])
