@@ -70,6 +70,9 @@ class NoiseConfig:
     wait_for_successes: Annotated[int, Limits(least=0, most=LATEST_EPISODES)] = 0
     """let exploration become less only once so many of the last 20 training episodes have succeeded, where the scene
     tells of success; 0 waits for none"""
+    pause_after_failures: Natural = 0
+    """stay as much while so many training episodes in a row have failed, until one succeeds, where the scene tells of
+    success; 0: become less all the same"""
     theta: PositiveShare = 0.15
     """ou only: share of the noise that is forgotten in each step"""
     epsilon_z: ShareBelowOne = 0.1
