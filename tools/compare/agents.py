@@ -43,6 +43,7 @@ PRIORITISED_IMITATION = [*STRONG_IMITATION, "--learner.imitation_batch", "critic
 CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]
 TWO_UPDATES = ["--learner.updates_per_step", "2"]
 HALF_BATCHES = [*TWO_UPDATES, "--learner.batch_size", "64"]
+PAUSES = {failures: ["--noise.pause_after_failures", str(failures)] for failures in (10, 20)}
 FASTER_ACTOR = ["--learner.actor_rate", "6e-4", "--learner.tau", "0.02"]
 BLIND = ["--control", "blind"]
 DEMONSTRATIONS = ["--config", "rl/demonstrations.yaml"]
@@ -63,6 +64,14 @@ ARMS = {
         *HALF_BATCHES,
     ],
     "strong self-imitation and curriculum, faster actor": [*STRONG_IMITATION, *CURRICULUM, *FASTER_ACTOR],
+    **{
+        f"strong self-imitation and curriculum, pauses after {failures} failures": [
+            *STRONG_IMITATION,
+            *CURRICULUM,
+            *keys,
+        ]
+        for failures, keys in PAUSES.items()
+    },
     "blind": BLIND,
     "blind, strong self-imitation and curriculum": [*BLIND, *STRONG_IMITATION, *CURRICULUM],
     "blind, prioritised self-imitation and curriculum": [*BLIND, *PRIORITISED_IMITATION, *CURRICULUM],
