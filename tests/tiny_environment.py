@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 
 from nerf_rl.machine.processes import start_method
-from nerf_rl.rl.environments.wrappers import ActionRepeat
+from nerf_rl.rl.environments.wrappers import ActionRepeat, TimeLimit
 
 
 class Point(gymnasium.Env):
@@ -40,7 +40,7 @@ class Point(gymnasium.Env):
 
 
 def point_env(steps: int = 10, repeat: int = 1, fall: bool = False) -> gymnasium.Env:
-    return ActionRepeat(gymnasium.wrappers.TimeLimit(Point(fall), steps), repeat)
+    return ActionRepeat(TimeLimit(Point(fall), steps), repeat)
 
 
 def point_envs(count: int, **keys: Any) -> AsyncVectorEnv:

@@ -233,6 +233,10 @@ class TrainRLConfig:
     """environment steps for which a training episode goes on after its first success, once half of the last 20 at new
     places have succeeded; then it is truncated: to rest at the goal teaches less than another episode does. To its end
     by default, and where the scene does not tell of success; ddpg only"""
+    success_overtime: Natural = 0
+    """environment steps for which a training episode goes on after its first success even where that is beyond
+    episode_steps, unless steps_after_success ends it sooner: an agent that is told to stop when it has just succeeded
+    does not learn what that is worth; ddpg only"""
     retry_share: ShareBelowOne = 0.0
     """probability that a training episode begins where one has failed lately, which is tried again once, with as much
     noise as at the first step; from the first success on, if the scene tells of it, and ddpg only"""

@@ -24,8 +24,10 @@ from nerf_rl.rl.environments.observed_columns import ObservedColumns
 from nerf_rl.rl.environments.panda_reach import PANDA_REACH, PandaReach
 from nerf_rl.rl.environments.scripted import ScriptedActions
 from nerf_rl.rl.environments.wrappers import (
+    OVERTIME,
     ActionRepeat,
     StateObservation,
+    TimeLimit,
     with_flat_observation,
     with_unit_actions,
 )
@@ -75,7 +77,7 @@ def make_env(spec: EnvSpec, encoder: Any = None, device: str = "cpu") -> tuple[g
     scene = None if spec.scene == PANDA_REACH else _make_scene(spec)
     env: gymnasium.Env = PandaReach(spec.panda) if scene is None else with_unit_actions(scene.env)
     env = _with_script(env, scene)
-    env = ActionRepeat(gymnasium.wrappers.TimeLimit(env, spec.episode_steps), spec.action_repeat)
+    env = ActionRepeat(TimeLimit(env, spec.episode_steps), spec.action_repeat)
     if scene is None or spec.encoder is None:
         return StateObservation(with_flat_observation(env), np.asarray if scene is None else scene.state), scene
     # these load torch, which a state worker does without
@@ -161,15 +163,16 @@ def _worker_modules(spec: EnvSpec) -> list[str]:
     return [__name__, *simulator, *eyes]
 
 
-def reset_some(envs: gymnasium.vector.VectorEnv, which: ndarray, seeds: list[int]) -> ndarray:
+def reset_some(envs: gymnasium.vector.VectorEnv, which: ndarray, seeds: list[int], overtime: int = 0) -> ndarray:
     """Start new episodes in the environments where ``which`` [E] is true; return all observations [E, O].
 
     Args:
         seeds: one for each environment; those of the others are not used.
+        overtime: environment steps for which the episodes go on after their first success, even beyond the time limit.
     """
     mask = np.asarray(which, dtype=np.bool_)
     seed: Any = list(seeds)  # vector environments take a list, although their base class does not say so
-    observations, _ = envs.reset(seed=seed, options={"reset_mask": mask})
+    observations, _ = envs.reset(seed=seed, options={"reset_mask": mask, OVERTIME: overtime})
     return observations
 
 

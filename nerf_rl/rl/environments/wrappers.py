@@ -13,6 +13,38 @@ from nerf_rl.errors import UserError
 from nerf_rl.rl.environments.goals import GoalObservation, has_goal
 from nerf_rl.scenes.base import success_in
 
+OVERTIME = "overtime"
+"""of the options of a reset: steps for which an episode goes on after its first success, beyond the time limit"""
+
+
+class TimeLimit(gymnasium.Wrapper):
+    """Truncates an episode after a number of steps; one that succeeds late may go on to show what that is worth.
+
+    Args:
+        env: may end an episode sooner.
+        steps: of an episode, unless the option :data:`OVERTIME` of its reset makes it longer.
+    """
+
+    def __init__(self, env: gymnasium.Env, steps: int):
+        super().__init__(env)
+        self._steps, self._done, self._end = steps, 0, steps
+        self._overtime, self._succeeded = 0, False
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start an episode."""
+        options = dict(options or {})
+        self._overtime = options.pop(OVERTIME, 0)
+        self._done, self._end, self._succeeded = 0, self._steps, False
+        return self.env.reset(seed=seed, options=options or None)
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        self._done += 1
+        if not self._succeeded and success_in(info):
+            self._succeeded, self._end = True, max(self._steps, self._done + self._overtime)
+        return observation, reward, terminated, truncated or self._done >= self._end, info
+
 
 class ActionRepeat(gymnasium.Wrapper):
     """Holds an action for several steps, stopping at the end of the episode.

@@ -245,7 +245,7 @@ class Trainer:
             seeds[env] = self._curriculum.begin(env)
             self._returns[env], self._success[env], self._length[env] = 0.0, False, 0
             self._exploration.begin_episode(env, self.env_steps)
-        return reset_some(self._envs, which, seeds)
+        return reset_some(self._envs, which, seeds, self._config.success_overtime)
 
     def _step(self, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E O"]:
         """Act once in every environment, learning meanwhile; return the next observations."""

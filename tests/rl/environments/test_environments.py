@@ -10,6 +10,7 @@ from tiny_environment import Point, point_env, point_envs
 from nerf_rl.errors import UserError
 from nerf_rl.machine.processes import start_method
 from nerf_rl.rl.environments.make import EnvSpec, make_env, make_vector_env, reset_some
+from nerf_rl.rl.environments.wrappers import OVERTIME, TimeLimit
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes, training_seed
 
 
@@ -53,6 +54,19 @@ def test_action_repeat_stops_at_the_time_limit_which_counts_environment_steps() 
     assert env.step(np.zeros(1))[2:4] == (False, False)
     _, _, terminated, truncated, info = env.step(np.zeros(1))
     assert (terminated, truncated, info["env_steps"]) == (False, True, 2)
+
+
+@pytest.mark.parametrize(("overtime", "last"), [(0, 5), (1, 5), (3, 7)])
+def test_an_episode_that_succeeds_late_goes_on_as_long_as_its_reset_asks_for(overtime: int, last: int) -> None:
+    env = TimeLimit(Point(), 5)
+    env.reset(seed=1, options={OVERTIME: overtime})
+    moves = [0.0, 0.0, 0.0, -0.5, *[1.0] * 10]  # away again at once: what counts is the first success
+    env.unwrapped.position = 0.1
+    ends = [env.step(np.array([move]))[3] for move in moves]
+    assert ends.index(True) + 1 == last
+    env.reset(seed=1)
+    env.unwrapped.position = 0.1
+    assert [env.step(np.array([move]))[3] for move in moves].index(True) + 1 == 5, "nothing was asked for"
 
 
 def test_action_repeat_remembers_a_success_in_between() -> None:

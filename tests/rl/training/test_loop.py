@@ -63,6 +63,21 @@ def test_training_episodes_end_so_many_steps_after_their_success_once_many_succe
     assert (then[:, 1] >= 2).all(), "the last of its observations is its own, and no reset's"
 
 
+def test_training_episodes_that_succeed_late_go_on_and_evaluated_ones_do_not(
+    envs: AsyncVectorEnv, tmp_path: Path
+) -> None:
+    trainer = Trainer(config(tmp_path, episode_steps=12, success_overtime=6, evaluation_to_end=True), envs, tmp_path)
+    train(trainer, 1500)
+    trainer.evaluate(10)
+    trainer.replay.close()
+    monitor = [row.split(",") for row in (tmp_path / "monitor.csv").read_text().splitlines()[1:]]
+    length, success = (monitor[0].index(name) for name in ("l", "is_success"))
+    lengths = {told: {int(row[length]) for row in monitor[1:] if row[success] == told} for told in "01"}
+    assert lengths["0"] == {12} and 12 < max(lengths["1"]) <= 18
+    with np.load(tmp_path / "evaluations.npz", allow_pickle=False) as file:
+        assert file["successes"].any() and set(np.unique(file["ep_lengths"])) == {12}
+
+
 def test_evaluated_episodes_do_not_end_after_their_success(envs: AsyncVectorEnv, tmp_path: Path) -> None:
     trainer = Trainer(config(tmp_path, episode_steps=12, steps_after_success=2, evaluation_to_end=True), envs, tmp_path)
     train(trainer, 1500)
