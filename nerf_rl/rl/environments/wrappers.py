@@ -20,6 +20,8 @@ OVERTIME = "overtime"
 class TimeLimit(gymnasium.Wrapper):
     """Truncates an episode after a number of steps; one that succeeds late may go on to show what that is worth.
 
+    Gymnasium's wrapper of that name gives all episodes the same length.
+
     Args:
         env: may end an episode sooner.
         steps: of an episode, unless the option :data:`OVERTIME` of its reset makes it longer.
@@ -38,7 +40,7 @@ class TimeLimit(gymnasium.Wrapper):
         return self.env.reset(seed=seed, options=options or None)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step."""
+        """Step; the first success may put off the end."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         self._done += 1
         if not self._succeeded and success_in(info):
