@@ -43,6 +43,7 @@ PRIORITISED_IMITATION = [*STRONG_IMITATION, "--learner.imitation_batch", "critic
 CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]
 OVERTIME = ["--success_overtime", "100"]
 ECHOES = [*OVERTIME, "--echo_share", "0.5"]
+SOONER = [*ECHOES, "--noise.decay_steps", "10000"]
 TWO_UPDATES = ["--learner.updates_per_step", "2"]
 HALF_BATCHES = [*TWO_UPDATES, "--learner.batch_size", "64"]
 PAUSES = {failures: ["--noise.pause_after_failures", str(failures)] for failures in (10, 20)}
@@ -60,6 +61,11 @@ ARMS = {
     "strong self-imitation and curriculum": [*STRONG_IMITATION, *CURRICULUM],
     "strong self-imitation, curriculum and overtime": [*STRONG_IMITATION, *CURRICULUM, *OVERTIME],
     "strong self-imitation, curriculum, overtime and echoes": [*STRONG_IMITATION, *CURRICULUM, *ECHOES],
+    "strong self-imitation, curriculum, overtime, echoes and sooner less noise": [
+        *STRONG_IMITATION,
+        *CURRICULUM,
+        *SOONER,
+    ],
     "prioritised self-imitation and curriculum": [*PRIORITISED_IMITATION, *CURRICULUM],
     "strong self-imitation and curriculum, two updates a step": [*STRONG_IMITATION, *CURRICULUM, *TWO_UPDATES],
     "strong self-imitation and curriculum, two updates of half a batch": [
@@ -79,11 +85,11 @@ ARMS = {
     "blind": BLIND,
     "blind, strong self-imitation and curriculum": [*BLIND, *STRONG_IMITATION, *CURRICULUM],
     "blind, strong self-imitation, curriculum and overtime": [*BLIND, *STRONG_IMITATION, *CURRICULUM, *OVERTIME],
-    "blind, strong self-imitation, curriculum, overtime and echoes": [
+    "blind, strong self-imitation, curriculum, overtime, echoes and sooner less noise": [
         *BLIND,
         *STRONG_IMITATION,
         *CURRICULUM,
-        *ECHOES,
+        *SOONER,
     ],
     "blind, prioritised self-imitation and curriculum": [*BLIND, *PRIORITISED_IMITATION, *CURRICULUM],
     "blind, strong self-imitation and curriculum, two updates a step": [
