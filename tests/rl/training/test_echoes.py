@@ -11,6 +11,7 @@ from tiny_run import config, train
 
 from nerf_rl.errors import MissingFileError
 from nerf_rl.rl.training.curriculum import Curriculum
+from nerf_rl.rl.training.curves import MetricsLog
 from nerf_rl.rl.training.echoes import Echoes
 from nerf_rl.rl.training.loop import Trainer
 
@@ -166,7 +167,15 @@ def test_a_run_echoes_what_succeeded_and_resumes_to_the_same_actions(
         echoed.append(bool(self.echoed[env]))
         return seed
 
+    told: list[str] = []
+    gather = MetricsLog.gather
+
+    def read(self: MetricsLog, figures: dict[str, float]) -> None:
+        told.extend(figures.keys() & {"episode_return", "echo_success"})
+        gather(self, figures)
+
     monkeypatch.setattr(Curriculum, "begin", noted)
+    monkeypatch.setattr(MetricsLog, "gather", read)
     (tmp_path / "whole").mkdir()
     keys = {"episode_steps": 12, "echo_share": 0.9}
     whole = Trainer(config(tmp_path / "whole", **keys), envs, tmp_path / "whole")
@@ -177,6 +186,8 @@ def test_a_run_echoes_what_succeeded_and_resumes_to_the_same_actions(
     rows = whole.replay.rows(0, whole.replay.stored)
     whole.replay.close()
     assert any(echoed) and not all(echoed)
+    episodes = len((tmp_path / "whole" / "monitor.csv").read_text().splitlines()) - 2
+    assert len(told) == episodes and 0 < told.count("echo_success") <= sum(echoed), "figures are of the policy's own"
     resumed = Trainer(config(tmp_path / "whole", **keys, resume=True), envs, tmp_path / "whole")
     train(resumed, 480)
     assert torch.equal(resumed.replay.rows(0, resumed.replay.stored), rows)
