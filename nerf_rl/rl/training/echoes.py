@@ -31,7 +31,7 @@ class Echoes:
     """Remembers what successful episodes did, and does it again, without looking, in an episode that begins alike.
 
     The first success comes by luck, and by luck alone the second comes no sooner; an agent that is to learn from one
-    success in ten episodes takes long. The actions of a success, as they were, mostly succeed from a start that differs
+    success in ten episodes takes long. The actions of a success, as they were, often succeed from a start that differs
     a little from its own, and this success reaches a little further. So the agent soon has successes from everywhere to
     learn from, its own actions still being those of its policy (after episodic control, Lengyel and Dayan 2007, and the
     return to where exploration has been in Go-Explore, Ecoffet et al. 2021).
@@ -64,7 +64,7 @@ class Echoes:
             observation: its first one.
             echo: do what a success did that began with a similar observation; there must be one.
         """
-        self._start[env], self._acted[env], self._until[env] = observation.copy(), [], None
+        self._start[env], self._acted[env], self._until[env] = observation.astype(np.float32), [], None
         self._plan[env] = self._shortened(self._similar(observation)) if echo else np.zeros((0, 0), np.float32)
 
     def act(self, action: Float[ndarray, "E A"], success: Bool[ndarray, "E"]) -> Float[ndarray, "E A"]:
