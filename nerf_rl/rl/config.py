@@ -241,9 +241,8 @@ class TrainRLConfig:
     """probability that a training episode begins where one has failed lately, which is tried again once, with as much
     noise as at the first step; from the first success on, if the scene tells of it, and ddpg only"""
     echo_share: ShareBelowOne = 0.0
-    """probability that a training episode does again, without looking, what succeeded from the start most like its own:
-    from the first success on, as long as less than half of the last 20 other episodes at new places have succeeded; if
-    the scene tells of success, and ddpg only"""
+    """probability that such a retry has no more noise than others, and does again, without looking, what succeeded from
+    a start that is like its own"""
     envs: Processes = 2
     """environments, each in a process of its own"""
     warmup_steps: Natural = 2_000

@@ -42,8 +42,7 @@ STRONG_IMITATION = ["--learner.imitation_weight", "0.5"]
 PRIORITISED_IMITATION = [*STRONG_IMITATION, "--learner.imitation_batch", "critic"]
 CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]
 OVERTIME = ["--success_overtime", "100"]
-ECHOES = [*OVERTIME, "--echo_share", "0.5"]
-SOONER = [*ECHOES, "--noise.decay_steps", "10000"]
+ECHOES = [*OVERTIME, "--echo_share", "0.8"]
 TWO_UPDATES = ["--learner.updates_per_step", "2"]
 HALF_BATCHES = [*TWO_UPDATES, "--learner.batch_size", "64"]
 PAUSES = {failures: ["--noise.pause_after_failures", str(failures)] for failures in (10, 20)}
@@ -61,11 +60,6 @@ ARMS = {
     "strong self-imitation and curriculum": [*STRONG_IMITATION, *CURRICULUM],
     "strong self-imitation, curriculum and overtime": [*STRONG_IMITATION, *CURRICULUM, *OVERTIME],
     "strong self-imitation, curriculum, overtime and echoes": [*STRONG_IMITATION, *CURRICULUM, *ECHOES],
-    "strong self-imitation, curriculum, overtime, echoes and sooner less noise": [
-        *STRONG_IMITATION,
-        *CURRICULUM,
-        *SOONER,
-    ],
     "prioritised self-imitation and curriculum": [*PRIORITISED_IMITATION, *CURRICULUM],
     "strong self-imitation and curriculum, two updates a step": [*STRONG_IMITATION, *CURRICULUM, *TWO_UPDATES],
     "strong self-imitation and curriculum, two updates of half a batch": [
@@ -85,11 +79,11 @@ ARMS = {
     "blind": BLIND,
     "blind, strong self-imitation and curriculum": [*BLIND, *STRONG_IMITATION, *CURRICULUM],
     "blind, strong self-imitation, curriculum and overtime": [*BLIND, *STRONG_IMITATION, *CURRICULUM, *OVERTIME],
-    "blind, strong self-imitation, curriculum, overtime, echoes and sooner less noise": [
+    "blind, strong self-imitation, curriculum, overtime and echoes": [
         *BLIND,
         *STRONG_IMITATION,
         *CURRICULUM,
-        *SOONER,
+        *ECHOES,
     ],
     "blind, prioritised self-imitation and curriculum": [*BLIND, *PRIORITISED_IMITATION, *CURRICULUM],
     "blind, strong self-imitation and curriculum, two updates a step": [

@@ -25,8 +25,8 @@ class Curriculum:
     (after prioritised level replay, Jiang et al. 2021, with failure for a score). What fails before anything has
     succeeded tells nothing of its start.
 
-    As long as the policy fails from most starts, episodes can also do again what has succeeded from another start
-    (:class:`nerf_rl.rl.training.echoes.Echoes`).
+    Or the retry does again what has succeeded from a start that is like it (an echo, see
+    :class:`nerf_rl.rl.training.echoes.Echoes`), which succeeds far more often than noise does.
 
     To rest at the goal teaches less than another episode does, so episodes end soon after a success. But the first
     successes go on: only what they bring to the end tells the agent what it had not known, that they are worth more.
@@ -37,13 +37,12 @@ class Curriculum:
         retry_share: most of the episodes that are such retries.
         steps_after_success: environment steps for which an episode goes on after a success, once at least half of the
             latest episodes at new places have succeeded; with None all go on.
-        rng: draws which episodes are retries, or echoes.
-        echo_share: of the episodes that do again what succeeded, until at least half of the latest others at new places
-            succeed.
+        rng: draws which episodes are retries, and which of these are echoes.
+        echo_share: of the retries that are echoes.
 
     Attributes:
         retried: which environments [E] are in a retry.
-        echoed: which of them are in an episode that does again what succeeded.
+        echoed: which of these retries are echoes.
     """
 
     def __init__(
@@ -70,11 +69,11 @@ class Curriculum:
 
         Args:
             env: which of the environments.
-            successes: that the episode could do again.
+            successes: that a retry could do again.
         """
         self._after_success[env] = 0
-        self.echoed[env] = successes > 0 and not self._can() and self._rng.random() < self._echo_share
-        self.retried[env] = not self.echoed[env] and bool(self._failed) and self._rng.random() < self._share
+        self.retried[env] = bool(self._failed) and self._rng.random() < self._share
+        self.echoed[env] = bool(self.retried[env]) and successes > 0 and self._rng.random() < self._echo_share
         if self.retried[env]:
             self._running[env] = self._failed.popleft()
         else:
@@ -90,14 +89,14 @@ class Curriculum:
             env_steps: just taken.
         """
         self._after_success += np.where(success, env_steps, 0)
-        if self._enough is None or not self._can():
+        if self._enough is None or 2 * sum(self._recent) < _RECENT:
             return np.zeros_like(success)
         return self._after_success >= self._enough
 
     def end(self, env: int, success: bool | None) -> None:
         """Take note of how an environment's episode ended; None where that is not told."""
         self._ever_succeeded |= bool(success)
-        if success is None or self.retried[env] or self.echoed[env]:
+        if success is None or self.retried[env]:
             return
         self._recent.append(success)
         if self._share and self._ever_succeeded and not success:
@@ -120,7 +119,3 @@ class Curriculum:
         self._failed = deque(state.get("failed_starts", []), _REMEMBERED)
         self._recent = deque(state.get("recent", []), _RECENT)
         self._ever_succeeded = state.get("ever_succeeded", False)
-
-    def _can(self) -> bool:
-        """Return whether at least half of the latest episodes at new places have succeeded."""
-        return 2 * sum(self._recent) >= _RECENT

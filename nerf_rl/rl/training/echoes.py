@@ -14,7 +14,7 @@ from torch import Tensor
 from nerf_rl.errors import MissingFileError
 from nerf_rl.files.tensor_files import require_tensors
 
-REMEMBERED = 50  # successes
+REMEMBERED = 100  # successes
 _AFTER_SUCCESS = 5  # actions that are kept, too: what was opened is to be open
 _NOISE = 0.1  # standard deviation
 _SIMILAR = 5  # successes, of which the quickest is done again
@@ -32,9 +32,9 @@ class Echoes:
 
     The first success comes by luck, and by luck alone the second comes no sooner; an agent that is to learn from one
     success in ten episodes takes long. The actions of a success, as they were, often succeed from a start that differs
-    a little from its own, and this success reaches a little further. So the agent soon has successes from everywhere to
-    learn from, its own actions still being those of its policy (after episodic control, Lengyel and Dayan 2007, and the
-    return to where exploration has been in Go-Explore, Ecoffet et al. 2021).
+    a little from its own, and this success reaches a little further. So an agent that fails soon has successes to learn
+    from, wherever it fails (after episodic control, Lengyel and Dayan 2007, and the return to where it has been of
+    Go-Explore, Ecoffet et al. 2021).
 
     Luck wanders and rests. Most echoes leave out a stretch of what was done, and of similar successes the quickest is
     done again, so that what is remembered becomes direct: a way that takes long is worth little to begin with.

@@ -300,7 +300,8 @@ class Trainer:
         """Return random actions in the warm-up, then some around the policy's."""
         if self._acted < self._config.warmup_steps:
             return self._exploration.warm_up()
-        return self._exploration.around(self.agent.act(observation), self.env_steps, self._curriculum.retried)
+        anew = self._curriculum.retried & ~self._curriculum.echoed
+        return self._exploration.around(self.agent.act(observation), self.env_steps, anew)
 
     def _learn(self) -> None:
         """Do the updates that the steps so far are worth."""

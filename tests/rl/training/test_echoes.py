@@ -127,33 +127,19 @@ def test_a_resumed_run_remembers_the_same_and_damage_is_told() -> None:
     assert len(copy) == 2, "of a version that remembered nothing"
 
 
-class Told(np.random.Generator):
-    """Draws as it is told to."""
-
-    again = True
-
-    def random(self, *arguments: object) -> float:  # type: ignore[override]
-        return 0.0 if self.again else 0.999
-
-
-def test_there_are_echoes_until_half_of_the_others_succeed_and_they_do_not_count() -> None:
-    rng = Told(np.random.PCG64(0))
-    made = Curriculum(7, 1, 0.0, None, rng, echo_share=0.5)
-    started = []
-
-    def episode(success: bool, successes: int, again: bool) -> bool:
-        rng.again = again
-        started.append(made.begin(0, successes))
-        made.end(0, success)
-        return bool(made.echoed[0])
-
-    assert not episode(False, successes=0, again=True), "nothing to do again"
-    assert not episode(False, successes=1, again=False)
-    assert all(episode(True, successes=1, again=True) for _ in range(50))
-    assert not any(episode(True, successes=1, again=False) for _ in range(9))
-    assert episode(False, successes=1, again=True), "9 of 11"
-    assert not episode(True, successes=1, again=False) and not episode(False, successes=1, again=True), "10 of 12"
-    assert len(set(started)) == len(started), "all at new places"
+def test_a_share_of_the_retries_are_echoes_once_there_is_something_to_do_again() -> None:
+    made = Curriculum(7, 1, 0.5, None, np.random.default_rng(0), echo_share=0.8)
+    made.begin(0, 0)
+    made.end(0, True)
+    kinds = []
+    for index in range(4000):
+        made.begin(0, index % 2)
+        kinds.append((bool(made.retried[0]), bool(made.echoed[0])))
+        made.end(0, False)
+    retries = [echoed for retried, echoed in kinds[1::2] if retried]
+    assert 0.77 < np.mean(retries) < 0.83 and len(retries) > 500
+    assert not any(echoed for retried, echoed in kinds if not retried), "what is new is tried by the policy"
+    assert not any(echoed for _, echoed in kinds[::2]), "there was nothing to do again"
 
 
 def test_a_run_echoes_what_succeeded_and_resumes_to_the_same_actions(
@@ -177,7 +163,7 @@ def test_a_run_echoes_what_succeeded_and_resumes_to_the_same_actions(
     monkeypatch.setattr(Curriculum, "begin", noted)
     monkeypatch.setattr(MetricsLog, "gather", read)
     (tmp_path / "whole").mkdir()
-    keys = {"episode_steps": 12, "echo_share": 0.9}
+    keys = {"episode_steps": 12, "retry_share": 0.9, "echo_share": 0.9}
     whole = Trainer(config(tmp_path / "whole", **keys), envs, tmp_path / "whole")
     train(whole, 240)
     assert len(whole._echoes), "it succeeds sometimes"
