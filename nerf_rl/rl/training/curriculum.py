@@ -26,7 +26,7 @@ class Curriculum:
     succeeded tells nothing of its start.
 
     Or the retry does again what has succeeded from a start that is like it (an echo, see
-    :class:`nerf_rl.rl.training.echoes.Echoes`), which succeeds far more often than noise does.
+    :class:`nerf_rl.rl.training.echoes.Echoes`).
 
     To rest at the goal teaches less than another episode does, so episodes end soon after a success. But the first
     successes go on: only what they bring to the end tells the agent what it had not known, that they are worth more.
