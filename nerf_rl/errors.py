@@ -4,6 +4,9 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
 
+BEGIN_ANEW = "begin the run anew with --overwrite true, or use another --out"
+"""what to do about a checkpoint that a run cannot go on from"""
+
 
 class UserError(Exception):
     """Base class: the command line prints the message without a traceback and exits with 2."""

@@ -12,7 +12,7 @@ import lightning
 import torch
 from torch import Tensor
 
-from nerf_rl.errors import MissingFileError
+from nerf_rl.errors import BEGIN_ANEW, MissingFileError
 from nerf_rl.files.structure import StructureError, mapping, number, table, text, whole
 from nerf_rl.files.tensor_files import tensor_fault
 from nerf_rl.pretrain.model.checkpoint_file import read_checkpoint
@@ -54,8 +54,7 @@ def require_resumable(path: Path, module: lightning.LightningModule, trainer: li
         _check_loops(checkpoint.get("loops"), trainer)
         _check_optimiser(checkpoint, module)
     except ValueError as error:
-        remedy = "begin the run anew with --overwrite true, or use another --out"
-        raise MissingFileError("a checkpoint to go on from", path, str(error), remedy) from error
+        raise MissingFileError("a checkpoint to go on from", path, str(error), BEGIN_ANEW) from error
 
 
 def _check_loops(found: Any, trainer: lightning.Trainer) -> None:

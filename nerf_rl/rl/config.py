@@ -319,6 +319,8 @@ class TrainRLConfig:
             raise UserError(f"--algo {self.algo} has no pink noise; use --noise.kind gaussian or ou")
         if self.episode_steps < self.action_repeat:
             raise UserError(f"--episode_steps {self.episode_steps} is less than --action_repeat {self.action_repeat}")
+        if self.echo_share and not self.retry_share:
+            raise UserError(f"--echo_share {self.echo_share} is of retries; give --retry_share, too")
         if self.replay.good_share and self.steps_after_success is not None:
             raise UserError(
                 "--replay.good_share draws from the episodes with the greatest returns, which are not the best ones "

@@ -14,7 +14,7 @@ from torch import Tensor
 from torchrl.data import LazyMemmapStorage, ReplayBuffer
 from torchrl.data.replay_buffers.samplers import PrioritizedSampler, RandomSampler
 
-from nerf_rl.errors import MissingFileError, UserError
+from nerf_rl.errors import BEGIN_ANEW, MissingFileError, UserError
 from nerf_rl.files.tensor_files import require_tensors, strip_prefix
 from nerf_rl.rl.config import ReplayConfig
 from nerf_rl.rl.experience.good_episodes import GoodEpisodes
@@ -260,9 +260,8 @@ class Replay:
             self.generator.set_state(state["generator"])
             self._good.load_state_dict(strip_prefix(state, "good"), stored)
         except (ValueError, RuntimeError) as error:
-            remedy = "begin the run anew with --overwrite true, or use another --out"
             reason = f"its replay memory is damaged ({error})"
-            raise MissingFileError("a checkpoint", source, reason, remedy) from error
+            raise MissingFileError("a checkpoint", source, reason, BEGIN_ANEW) from error
         self._demonstrations = state.get("demonstrations", self._demonstrations)
         self._extend(state["rows"].roll(stored % self._capacity, 0) if rows == self._capacity else state["rows"])
         self.stored = stored

@@ -12,7 +12,7 @@ from typing import Any
 
 from torch import Tensor
 
-from nerf_rl.errors import MissingFileError
+from nerf_rl.errors import BEGIN_ANEW, MissingFileError
 from nerf_rl.files.atomic import rename_durably
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.structure import flag, listing, mapping, number, one_of, whole
@@ -25,7 +25,6 @@ from nerf_rl.scenes.base import METAWORLD
 
 _FORMAT = 2  # since it, agents in Meta-World observe changes; a replay memory of before holds something else
 _TENSORS, _FACTS = "state.safetensors", "state.json"
-_REMEDY = "begin the run anew with --overwrite true, or use another --out"
 _WORD = whole(0, 2**128 - 1)
 _STRUCTURE = mapping(
     {
@@ -96,7 +95,7 @@ def load_checkpoint(folder: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         facts = read_json(folder / _FACTS)
         _STRUCTURE(facts, "")
     except (OSError, ValueError) as error:
-        raise MissingFileError("a checkpoint", folder, f"its {_FACTS} is damaged ({error})", _REMEDY) from error
+        raise MissingFileError("a checkpoint", folder, f"its {_FACTS} is damaged ({error})", BEGIN_ANEW) from error
     return read_tensors(folder / _TENSORS), facts
 
 
@@ -110,4 +109,4 @@ def require_same_observations(facts: Mapping[str, Any], scene: str, folder: Path
     """
     if facts.get("format", 1) < _FORMAT and scene.startswith(METAWORLD):
         reason = "it is of an earlier version, whose agents observed something else"
-        raise MissingFileError("a checkpoint to go on from", folder, reason, _REMEDY)
+        raise MissingFileError("a checkpoint to go on from", folder, reason, BEGIN_ANEW)

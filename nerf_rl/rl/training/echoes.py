@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 from torch import Tensor
 
-from nerf_rl.errors import MissingFileError
+from nerf_rl.errors import BEGIN_ANEW, MissingFileError
 from nerf_rl.files.tensor_files import require_tensors
 
 REMEMBERED = 100  # successes
@@ -117,8 +117,7 @@ class Echoes:
         require_tensors(state, like | {"action": torch.zeros(numbers // sizes[1], sizes[1])}, source)
         length = state["length"]
         if not count or length.min() < 1 or length.sum() != len(state["action"]):
-            remedy = "begin the run anew with --overwrite true, or use another --out"
-            raise MissingFileError("a checkpoint", source, "what succeeded is damaged in it", remedy)
+            raise MissingFileError("a checkpoint", source, "what succeeded is damaged in it", BEGIN_ANEW)
         actions = state["action"].split(length.tolist())
         self._successes.extend(_Success(s.numpy(), a.numpy()) for s, a in zip(state["start"], actions, strict=True))
 
