@@ -70,9 +70,6 @@ class NoiseConfig:
     wait_for_successes: Annotated[int, Limits(least=0, most=LATEST_EPISODES)] = 0
     """let exploration become less only once so many of the last 20 training episodes have succeeded, where the scene
     tells of success; 0 waits for none"""
-    pause_after_failures: Natural = 0
-    """stay as much while so many training episodes in a row have failed, until one succeeds, where the scene tells of
-    success; 0: become less all the same"""
     theta: PositiveShare = 0.15
     """ou only: share of the noise that is forgotten in each step"""
     epsilon_z: ShareBelowOne = 0.1
@@ -102,10 +99,6 @@ class ReplayConfig:
     """exponent of the importance weights at the start; it grows linearly to 1 at the last step"""
     epsilon: Annotated[float, Limits(above=0, most=10**6)] = 0.01
     """added to each absolute error, so that no transition is forgotten"""
-    good_share: ShareBelowOne = 0.0
-    """share of each batch that is drawn from the best episodes"""
-    good_episodes: PositiveShare = 0.1
-    """share of all episodes, by return, that are the best ones"""
     demonstration_share: ShareBelowOne = 0.5
     """share of each batch that is drawn from the demonstrations, which are never replaced; only if there are any"""
     hindsight: Annotated[int, Limits(least=0, most=1000)] = 0
@@ -321,11 +314,6 @@ class TrainRLConfig:
             raise UserError(f"--episode_steps {self.episode_steps} is less than --action_repeat {self.action_repeat}")
         if self.echo_share and not self.retry_share:
             raise UserError(f"--echo_share {self.echo_share} is of retries; give --retry_share, too")
-        if self.replay.good_share and self.steps_after_success is not None:
-            raise UserError(
-                "--replay.good_share draws from the episodes with the greatest returns, which are not the best ones "
-                "where --steps_after_success cuts those with a success short; give --steps_after_success null"
-            )
 
     def content(self) -> dict[str, Any]:
         """Return the keys that must not change when a run is resumed."""
@@ -338,11 +326,6 @@ class TrainRLConfig:
             return
         if self.algo in BASELINES:
             raise UserError(f"--demonstrations is for --algo ddpg; {self.algo} of Stable-Baselines3 takes none")
-        if self.replay.good_share + self.replay.demonstration_share >= 1:
-            raise UserError(
-                f"--replay.good_share {self.replay.good_share} and --replay.demonstration_share "
-                f"{self.replay.demonstration_share} leave nothing of a batch to all other episodes"
-            )
         spent = self.demonstrations * self.episode_steps
         if spent + self.warmup_steps >= self.env_steps:
             raise UserError(

@@ -22,10 +22,6 @@ ROOT = Path(__file__).parents[2]
         (["--algo", "sb3-ddpg", "--learning_starts", "9"], "leave out --learning_starts"),
         (["--episode_steps", "1"], "--episode_steps 1 is less than --action_repeat 2"),
         (["--steps_after_success", "0"], "--steps_after_success must be at least 1, got 0"),
-        (
-            ["--replay.good_share", "0.25", "--steps_after_success", "20"],
-            "--replay.good_share draws from the episodes with the greatest returns",
-        ),
         (["--echo_share", "0.5"], "--echo_share 0.5 is of retries; give --retry_share, too"),
         (["--learner.imitation_weight", "-1"], "--learner.imitation_weight must be in [0, 1000000], got -1.0"),
         (["--learner.gamma", "1.5"], "--learner.gamma must be in [0, 1], got 1.5"),

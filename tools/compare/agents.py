@@ -45,7 +45,6 @@ OVERTIME = ["--success_overtime", "100"]
 ECHOES = [*OVERTIME, "--echo_share", "0.8"]
 TWO_UPDATES = ["--learner.updates_per_step", "2"]
 HALF_BATCHES = [*TWO_UPDATES, "--learner.batch_size", "64"]
-PAUSES = {failures: ["--noise.pause_after_failures", str(failures)] for failures in (10, 20)}
 FASTER_ACTOR = ["--learner.actor_rate", "6e-4", "--learner.tau", "0.02"]
 BLIND = ["--control", "blind"]
 DEMONSTRATIONS = ["--config", "rl/demonstrations.yaml"]
@@ -68,14 +67,6 @@ ARMS = {
         *HALF_BATCHES,
     ],
     "strong self-imitation and curriculum, faster actor": [*STRONG_IMITATION, *CURRICULUM, *FASTER_ACTOR],
-    **{
-        f"strong self-imitation and curriculum, pauses after {failures} failures": [
-            *STRONG_IMITATION,
-            *CURRICULUM,
-            *keys,
-        ]
-        for failures, keys in PAUSES.items()
-    },
     "blind": BLIND,
     "blind, strong self-imitation and curriculum": [*BLIND, *STRONG_IMITATION, *CURRICULUM],
     "blind, strong self-imitation, curriculum and overtime": [*BLIND, *STRONG_IMITATION, *CURRICULUM, *OVERTIME],
@@ -172,18 +163,20 @@ def record(scene: str, eyes: str, env_steps: int, arm: str, keys: list[str], run
     """Put runs in place of those of the same seeds, and write file and table."""
     known = read_json(RESULT)["arms"] if RESULT.exists() else []
     what = {"scene": scene, "eyes": eyes, "env_steps": env_steps, "arm": arm}
-    order = list(ARMS)
-    arms = sorted(
-        joined(known, what, {"keys": keys, "processor": processor()}, runs),
-        key=lambda each: (
-            *(each[name] for name in ("scene", "eyes", "env_steps")),
-            order.index(each["arm"].removesuffix(LAST_WEIGHTS).removesuffix(ONE_SUCCESS)),
-            each["arm"],
-        ),
+    arms = joined(known, what, {"keys": keys, "processor": processor()}, runs)
+    arms.sort(
+        key=lambda each: (*(each[name] for name in ("scene", "eyes", "env_steps")), place(each["arm"]), each["arm"])
     )
     command = f"python -m tools.compare.agents; {RECIPE}, unless keys name another, {' '.join(KEYS)}"
     write_json(RESULT, {"command": command, "arms": arms})
     write_text(README, replace_tables(README.read_text(), {"agents": table(arms)}))
+
+
+def place(arm: str) -> int:
+    """Return where an arm stands among those of its task; those that had keys which are gone come last."""
+    order = list(ARMS)
+    name = arm.removesuffix(LAST_WEIGHTS).removesuffix(ONE_SUCCESS)
+    return order.index(name) if name in order else len(order)
 
 
 def joined(

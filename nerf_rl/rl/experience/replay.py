@@ -15,9 +15,8 @@ from torchrl.data import LazyMemmapStorage, ReplayBuffer
 from torchrl.data.replay_buffers.samplers import PrioritizedSampler, RandomSampler
 
 from nerf_rl.errors import BEGIN_ANEW, MissingFileError, UserError
-from nerf_rl.files.tensor_files import require_tensors, strip_prefix
+from nerf_rl.files.tensor_files import require_tensors
 from nerf_rl.rl.config import ReplayConfig
-from nerf_rl.rl.experience.good_episodes import GoodEpisodes
 from nerf_rl.rl.experience.n_step import Transition
 from nerf_rl.rl.experience.returns_to_go import returns_to_go
 
@@ -100,8 +99,6 @@ class Replay:
         self._running: list[list[Int[Tensor, "N"]]] = [[] for _ in range(envs)]
         self._bounded_steps = bounded_steps
         self._bounds = torch.full((config.capacity if bounded_steps else 0,), _UNKNOWN)
-        self._good = GoodEpisodes(config.good_episodes)
-        self._good_count = round(config.good_share * batch_size)
         self._demonstrations: Float[Tensor, "D W"] = torch.zeros(0, sum(self._split))
         self._demonstration_count = round(config.demonstration_share * batch_size)
 
@@ -121,16 +118,14 @@ class Replay:
             if env is not None:
                 self._running[env].append(torch.arange(before, self.stored))
 
-    def end_episode(self, env: int, score: float, value: Callable[[Float[ndarray, "O"]], float] | None = None) -> None:
+    def end_episode(self, env: int, value: Callable[[Float[ndarray, "O"]], float] | None = None) -> None:
         """Tell that an environment's episode is over, all its transitions being stored.
 
         Args:
             env: which of the environments.
-            score: the episode's return.
             value: what is to be expected from an observation on, if bounds are kept; None while nobody knows.
         """
         stored, self._running[env] = torch.cat([*self._running[env], torch.zeros(0, dtype=torch.int64)]), []
-        self._good.add(stored, score, self.oldest)
         if self._bounded_steps and value is not None and len(stored):
             self._bound(stored, value)
 
@@ -155,23 +150,18 @@ class Replay:
     def sample(self, beta: float) -> Batch:
         """Draw a batch with P(i) = p_i^alpha / sum_k p_k^alpha and weights w_i = (N P(i))^-beta / max_k w_k.
 
-        The greatest weight is that of the whole memory, which is how TorchRL's segment trees give it. The shares of the
-        batch that are drawn from good episodes and then from demonstrations, uniformly, have the mean weight of the
-        others.
+        The greatest weight is that of the whole memory, which is how TorchRL's segment trees give it. The share of the
+        batch that is drawn from demonstrations, uniformly, has the mean weight of the others.
         """
         if self.prioritised:
             self._sampler.beta = beta
-        good = self._good_count if len(self._good) else 0
-        count = self._batch_size - good - self._demonstrated()
+        count = self._batch_size - self._demonstrated()
         index, information = self._sampler.sample(self._storage, count)
         weight = information["priority_weight"].float() if self.prioritised else torch.ones(count)
-        if good:
-            index = torch.cat([index, self._good.draw(good, self.generator) % self._capacity])
         rows = self._gather_rows(index)
         if self._demonstrated():
             places, shown = self._draw_demonstrated(self._demonstrated())
             index, rows = torch.cat([index, self._capacity + places]), torch.cat([rows, shown])
-        if len(index) > count:
             weight = torch.cat([weight, weight.mean().expand(len(index) - count)])
         return self._batch(index, weight, rows)
 
@@ -228,7 +218,7 @@ class Replay:
             state["bound"] = self._bounds[: len(self)]
         if self.demonstrations:
             state["demonstrations"] = self._demonstrations
-        return state | {f"good.{name}": tensor for name, tensor in self._good.state_dict().items()}
+        return state
 
     def load_state(self, state: dict[str, Tensor], source: Path = Path("the checkpoint")) -> None:
         """Fill an empty memory with what :meth:`state` returned; its rows are there from the oldest on.
@@ -247,7 +237,6 @@ class Replay:
             like |= {"powered_priority": torch.zeros(rows), "max_priority": torch.zeros(())}
         if self._bounded_steps:
             like["bound"] = torch.zeros(rows)
-        like |= {name: tensor.detach() for name, tensor in state.items() if name.startswith("good.")}
         if "demonstrations" in state:
             shown = len(state["demonstrations"]) if state["demonstrations"].dim() else 0
             like["demonstrations"] = torch.zeros(shown, sum(self._split))
@@ -258,7 +247,6 @@ class Replay:
             if rows == 0 or rows != min(stored, self._capacity) or least <= 0:
                 raise ValueError("its rows, their number or their priorities are out of range")
             self.generator.set_state(state["generator"])
-            self._good.load_state_dict(strip_prefix(state, "good"), stored)
         except (ValueError, RuntimeError) as error:
             reason = f"its replay memory is damaged ({error})"
             raise MissingFileError("a checkpoint", source, reason, BEGIN_ANEW) from error

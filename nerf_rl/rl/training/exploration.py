@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from nerf_rl.files.structure import flag, listing, whole
+from nerf_rl.files.structure import flag, listing
 from nerf_rl.rl.config import LATEST_EPISODES, TrainRLConfig
 from nerf_rl.rl.experience.noise import EpsilonZGreedy, Noise, linear_schedule
 
-STRUCTURE = {"awaits_success": flag, "lately": listing(flag), "failures": whole(), "paused_at": whole(-1)}
+STRUCTURE = {"awaits_success": flag, "lately": listing(flag)}
 """of what :meth:`Exploration.state_dict` has beside ``explored_from``, which checkpoints of every version hold"""
 _HELD_IN_WARM_UP = 0.8  # of the steps
 
@@ -21,8 +21,7 @@ class Exploration:
     """Turns a policy's actions into those of training: noise is added, and some of them are held random ones.
 
     Both become less by the clock, which begins once ``noise.wait_for_successes`` of the latest training episodes have
-    succeeded: an agent that found a place of rest first is to look further, and one success may be luck. The clock
-    stands still while the last ``noise.pause_after_failures`` episodes, or more, have failed.
+    succeeded: an agent that found a place of rest first is to look further, and one success may be luck.
 
     Args:
         config: of the run.
@@ -39,19 +38,15 @@ class Exploration:
         self._held = EpsilonZGreedy(envs, action_size, *held)
         self._lately: deque[bool] = deque(maxlen=LATEST_EPISODES)
         self._since, self._awaits_success = 0, config.noise.wait_for_successes > 0
-        self._failures, self._paused_at = 0, -1
 
     def begin(self, env_step: int) -> None:
         """Explore as at first, and less and less from this environment step on."""
         self._since, self._awaits_success = env_step, self._config.wait_for_successes > 0
-        self._failures, self._paused_at = 0, -1
         self._lately.clear()
 
     def elapsed(self, env_step: int) -> int:
         """Return for how many environment steps exploration has become less."""
-        if self._awaits_success:
-            return 0
-        return (env_step if self._paused_at < 0 else self._paused_at) - self._since
+        return 0 if self._awaits_success else env_step - self._since
 
     def scale(self, env_step: int) -> float:
         """Return the noise's standard deviation."""
@@ -65,21 +60,12 @@ class Exploration:
     def end_episode(self, success: bool | None, env_step: int) -> None:
         """Take note of how an episode ended; None where the scene does not tell, which is nothing to wait for."""
         if not self._awaits_success:
-            self._pause(success, env_step)
             return
         self._lately.append(bool(success))
         if success is None:
             self._awaits_success = False
         elif sum(self._lately) >= self._config.wait_for_successes:
             self._since, self._awaits_success = env_step, False
-
-    def _pause(self, success: bool | None, env_step: int) -> None:
-        """Stop the clock after failures, and let it go on from there after a success."""
-        self._failures = 0 if success or success is None else self._failures + 1
-        if self._failures and self._failures == self._config.pause_after_failures:
-            self._paused_at = env_step
-        elif not self._failures and self._paused_at >= 0:
-            self._since, self._paused_at = self._since + env_step - self._paused_at, -1
 
     def warm_up(self) -> Float[ndarray, "E A"]:
         """Return actions of a time when there is no policy to speak of."""
@@ -99,15 +85,16 @@ class Exploration:
 
     def state_dict(self) -> dict[str, Any]:
         """Return what a checkpoint has to hold between episodes."""
-        awaits = {"awaits_success": self._awaits_success, "lately": list(self._lately)}
-        pauses = {"failures": self._failures, "paused_at": self._paused_at}
-        return {"explored_from": self._since, **awaits, **pauses}
+        return {
+            "explored_from": self._since,
+            "awaits_success": self._awaits_success,
+            "lately": list(self._lately),
+        }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on from a checkpoint, perhaps of an earlier version, which waited for nothing."""
         self._since, self._awaits_success = state["explored_from"], state.get("awaits_success", False)
         self._lately = deque(state.get("lately", []), LATEST_EPISODES)
-        self._failures, self._paused_at = state.get("failures", 0), state.get("paused_at", -1)
 
     def _decayed(self, start: float, env_step: int) -> float:
         return linear_schedule(start, 0.0, self._config.decay_steps, self.elapsed(env_step))

@@ -150,7 +150,7 @@ class Trainer:
                 last_log, last_updates, last_seconds = self.env_steps, self.agent.updates, self.seconds
         for env, n_step in enumerate(self._n_steps):
             self.replay.add(n_step.cut(), env)
-            self.replay.end_episode(env, self._returns[env], self._value())
+            self.replay.end_episode(env, self._value())
             self._curriculum.break_off(env)
         for hindsight in self._hindsight:
             self.replay.add(hindsight.cut())
@@ -280,7 +280,7 @@ class Trainer:
             return next_observation
         for env in np.flatnonzero(done).tolist():
             self.episodes += 1
-            self.replay.end_episode(env, self._returns[env], self._value())
+            self.replay.end_episode(env, self._value())
             success = bool(self._success[env]) if "success" in info else None
             self._echoes.end(env, bool(success))
             self._curriculum.end(env, success)

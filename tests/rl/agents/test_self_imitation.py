@@ -84,7 +84,7 @@ def test_an_update_imitates_the_batch_that_it_is_told_to(whose: Literal["actor",
     replay = Replay(ReplayConfig(capacity=64), 3, 2, 16, tmp_path / "replay", bounded_steps=3)
     here = np.zeros(3, np.float32)
     replay.add([Transition(here, np.full(2, 0.1 * i, np.float32), 1.0, 0.9, here) for i in range(10)], 0)
-    replay.end_episode(0, 10.0, lambda observation: 0.0)
+    replay.end_episode(0, lambda observation: 0.0)
     learner = LearnerConfig(imitation_weight=0.5, imitation_batch=whose, batch_size=16)
     agent = Watched(3, 2, NetworkConfig(hidden=[16, 16], standardise=False), learner)
     agent.update(replay, 1.0)

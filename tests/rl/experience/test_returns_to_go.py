@@ -40,7 +40,7 @@ def expected(terminated: bool) -> np.ndarray:
 
 
 def memory(folder: Path, steps: int, capacity: int = 100) -> Replay:
-    return Replay(ReplayConfig(capacity=capacity, good_share=0.0), 2, 1, 64, folder, envs=2, bounded_steps=steps)
+    return Replay(ReplayConfig(capacity=capacity), 2, 1, 64, folder, envs=2, bounded_steps=steps)
 
 
 def bounds(replay: Replay) -> dict[float, float]:
@@ -65,8 +65,8 @@ def test_memory_tells_them_once_the_episode_is_over_and_of_no_other(tmp_path: Pa
     replay.add(transitions(3, False, offset=200.0))  # of no episode as it happened
     assert max(bounds(replay).values()) < -1e30
     asked: list[np.ndarray] = []
-    replay.end_episode(0, 1.0, lambda observation: asked.append(observation) or LAST)
-    replay.end_episode(1, 1.0, None)  # nobody knew what comes after it
+    replay.end_episode(0, lambda observation: asked.append(observation) or LAST)
+    replay.end_episode(1, None)  # nobody knew what comes after it
     told = bounds(replay)
     assert asked[0].tolist() == [LENGTH, LENGTH]
     np.testing.assert_allclose([told[float(t)] for t in range(LENGTH)], expected(False), rtol=1e-6)
@@ -77,14 +77,14 @@ def test_memory_tells_them_once_the_episode_is_over_and_of_no_other(tmp_path: Pa
 def test_a_row_that_is_written_anew_has_none(tmp_path: Path) -> None:
     replay = memory(tmp_path / "replay", 3, capacity=LENGTH)
     replay.add(transitions(3, False), 0)
-    replay.end_episode(0, 1.0, lambda _: LAST)
+    replay.end_episode(0, lambda _: LAST)
     replay.add(transitions(3, False, offset=100.0)[:2], 0)
     told = bounds(replay)
     assert max(told[100.0], told[101.0]) < -1e30
     np.testing.assert_allclose([told[float(t)] for t in range(2, LENGTH)], expected(False)[2:], rtol=1e-6)
     replay.add(transitions(3, False, offset=100.0)[2:], 0)
     replay.add(transitions(3, False, offset=200.0)[:2], 0)  # the beginning of an episode that is longer than memory
-    replay.end_episode(0, 1.0, lambda _: LAST)
+    replay.end_episode(0, lambda _: LAST)
     assert len(bounds(replay)) == LENGTH and min(bounds(replay).values()) > 0
     replay.close()
 
@@ -92,7 +92,7 @@ def test_a_row_that_is_written_anew_has_none(tmp_path: Path) -> None:
 def test_they_come_back_with_a_checkpoint(tmp_path: Path) -> None:
     replay, again = memory(tmp_path / "replay", 3), memory(tmp_path / "again", 3)
     replay.add(transitions(3, False), 0)
-    replay.end_episode(0, 1.0, lambda _: LAST)
+    replay.end_episode(0, lambda _: LAST)
     state = {name: tensor.clone() for name, tensor in replay.state().items()}
     again.load_state(state)
     assert bounds(again) == bounds(replay)
@@ -122,7 +122,7 @@ def test_a_critic_learns_the_way_that_its_own_policy_does_not_go(tmp_path: Path)
                 discount = 0.0 if then == length else GAMMA
                 here, there = (np.array([p / length], np.float32) for p in (place, then))
                 replay.add([Transition(here, np.array([action], np.float32), reward, discount, there)], 0)
-            replay.end_episode(0, 0.0, (lambda _: 0.0) if episode is walk else None)
+            replay.end_episode(0, (lambda _: 0.0) if episode is walk else None)
         for _ in range(600):
             agent.update(replay, 1.0)
         replay.close()

@@ -315,7 +315,6 @@ def test_without_demonstrations_their_keys_change_nothing(tmp_path: Path) -> Non
         (["--algo", "ppo"], "--demonstrations is for --algo ddpg; ppo of Stable-Baselines3 takes none"),
         (["--algo", "without_clone:Agent"], "'without_clone:Agent' is no algorithm: it lacks clone"),
         (["--demonstrations", "-1"], "--demonstrations must be at least 0, got -1"),
-        (["--replay.good_share", "0.5"], "leave nothing of a batch to all other episodes"),
         (["--replay.demonstration_share", "1"], "--replay.demonstration_share must be in [0, 1), got 1.0"),
         (["--env_steps", "2500"], "--demonstrations 3 of 200 steps each and --warmup_steps 2000 leave nothing of"),
         (["--learner.clone_weight", "-1"], "--learner.clone_weight must be in [0, 1000000], got -1.0"),

@@ -9,10 +9,8 @@ from nerf_rl.rl.config import NoiseConfig, TrainRLConfig
 from nerf_rl.rl.training.exploration import Exploration
 
 
-def exploration(successes: int, failures: int = 0) -> Exploration:
-    noise = NoiseConfig(
-        start=1.0, end=0.0, decay_steps=1000, wait_for_successes=successes, pause_after_failures=failures
-    )
+def exploration(successes: int) -> Exploration:
+    noise = NoiseConfig(start=1.0, end=0.0, decay_steps=1000, wait_for_successes=successes)
     return Exploration(TrainRLConfig(out="x", noise=noise), 2, 3, np.random.default_rng(0))
 
 
@@ -61,43 +59,3 @@ def test_a_run_that_is_resumed_knows_of_the_successes_before() -> None:
     assert second.scale(450) == pytest.approx(0.75)
     second.load_state_dict({"explored_from": 7})
     assert second.elapsed(10) == 3, "of a version that waited for nothing"
-
-
-def test_exploration_stays_as_much_from_a_row_of_failures_to_the_next_success() -> None:
-    made = exploration(0, failures=3)
-    for step in (100, 150):
-        made.end_episode(False, step)
-    made.end_episode(True, 200)
-    for step in (250, 300, 350, 400, 450):
-        made.end_episode(False, step)
-    assert made.scale(350) == pytest.approx(0.65), "two in a row are few"
-    assert made.scale(450) == made.scale(600) == pytest.approx(0.65)
-    made.end_episode(True, 600)
-    assert made.scale(600) == pytest.approx(0.65) and made.scale(700) == pytest.approx(0.55)
-    made.end_episode(True, 750)
-    assert made.scale(800) == pytest.approx(0.45)
-
-
-def test_failures_before_exploration_becomes_less_do_not_stop_it_and_none_do_where_the_scene_does_not_tell() -> None:
-    made = exploration(2, failures=3)
-    for step, success in ((100, False), (200, False), (300, True), (400, False), (500, True), (600, False)):
-        made.end_episode(success, step)
-    assert made.scale(750) == pytest.approx(0.75)
-    made = exploration(2, failures=2)
-    for step in (100, 200, 300, 400):
-        made.end_episode(None, step)
-    assert made.scale(500) == pytest.approx(0.5)
-
-
-@pytest.mark.parametrize("failures", [1, 2, 4])
-def test_a_run_that_is_resumed_stays_stopped_and_goes_on_alike(failures: int) -> None:
-    first, second = exploration(0, failures=2), exploration(0, failures=2)
-    for number in range(failures):
-        first.end_episode(False, 100 * (number + 1))
-    second.load_state_dict(json.loads(json.dumps(first.state_dict())))
-    for step, success in ((500, False), (600, True), (700, False)):
-        for made in (first, second):
-            made.end_episode(success, step)
-        assert first.scale(step + 50) == second.scale(step + 50) < 1.0
-    first.begin(800)
-    assert first.scale(800) == 1.0 and first.scale(900) == pytest.approx(0.9)
