@@ -42,6 +42,7 @@ STRONG_IMITATION = ["--learner.imitation_weight", "0.5"]
 PRIORITISED_IMITATION = [*STRONG_IMITATION, "--learner.imitation_batch", "critic"]
 CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]
 OVERTIME = ["--success_overtime", "100"]
+BONUS = [*OVERTIME, "--success_bonus", "20"]
 ECHOES = [*OVERTIME, "--echo_share", "0.8"]
 TWO_UPDATES = ["--learner.updates_per_step", "2"]
 HALF_BATCHES = [*TWO_UPDATES, "--learner.batch_size", "64"]
@@ -58,6 +59,7 @@ ARMS = {
     "self-imitation and curriculum": [*IMITATION, *CURRICULUM],
     "strong self-imitation and curriculum": [*STRONG_IMITATION, *CURRICULUM],
     "strong self-imitation, curriculum and overtime": [*STRONG_IMITATION, *CURRICULUM, *OVERTIME],
+    "strong self-imitation, curriculum, overtime and bonus": [*STRONG_IMITATION, *CURRICULUM, *BONUS],
     "strong self-imitation, curriculum, overtime and echoes": [*STRONG_IMITATION, *CURRICULUM, *ECHOES],
     "prioritised self-imitation and curriculum": [*PRIORITISED_IMITATION, *CURRICULUM],
     "strong self-imitation and curriculum, two updates a step": [*STRONG_IMITATION, *CURRICULUM, *TWO_UPDATES],
@@ -70,6 +72,12 @@ ARMS = {
     "blind": BLIND,
     "blind, strong self-imitation and curriculum": [*BLIND, *STRONG_IMITATION, *CURRICULUM],
     "blind, strong self-imitation, curriculum and overtime": [*BLIND, *STRONG_IMITATION, *CURRICULUM, *OVERTIME],
+    "blind, strong self-imitation, curriculum, overtime and bonus": [
+        *BLIND,
+        *STRONG_IMITATION,
+        *CURRICULUM,
+        *BONUS,
+    ],
     "blind, strong self-imitation, curriculum, overtime and echoes": [
         *BLIND,
         *STRONG_IMITATION,

@@ -263,8 +263,9 @@ class Trainer:
         stepped = self._envs.step_wait(timeout=_STEP_TIMEOUT)  # type: ignore[attr-defined]
         next_observation, reward, terminated, truncated, info = stepped
         truncated = truncated | self._curriculum.step(self._success, info["env_steps"])
+        learnt = reward + self._config.success_bonus * info.get("success", np.zeros_like(reward))
         for env, n_step in enumerate(self._n_steps):
-            step = (observation[env], action[env], float(reward[env]), next_observation[env])
+            step = (observation[env], action[env], float(learnt[env]), next_observation[env])
             self.replay.add(n_step.push(*step, bool(terminated[env]), bool(truncated[env])), env)
         for env, hindsight in enumerate(self._hindsight):
             ended = bool(terminated[env] or truncated[env])
