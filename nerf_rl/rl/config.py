@@ -231,8 +231,9 @@ class TrainRLConfig:
     episode_steps, unless steps_after_success ends it sooner: an agent that is told to stop when it has just succeeded
     does not learn what that is worth; ddpg only"""
     success_bonus: NotNegative = 0.0
-    """added to the reward of each agent step with a success, for the learner alone: where the scene makes little
-    of its success, as beside a place of rest; returns that are told are without it, and ddpg only"""
+    """added to the reward of each agent step with a success, for the learner alone, where the scene's own reward makes
+    little of it, as of an open drawer beside a handle that is pressed on; no return that is told has it in it; ddpg
+    only"""
     retry_share: ShareBelowOne = 0.0
     """probability that a training episode begins where one has failed lately, which is tried again once, with as much
     noise as at the first step; from the first success on, if the scene tells of it, and ddpg only"""
@@ -317,8 +318,8 @@ class TrainRLConfig:
             raise UserError(f"--episode_steps {self.episode_steps} is less than --action_repeat {self.action_repeat}")
         if self.success_bonus and self.replay.hindsight:
             raise UserError(
-                f"--success_bonus {self.success_bonus} has no part in what --replay.hindsight learns from; "
-                "give one of them"
+                f"--success_bonus {self.success_bonus} is no part of the rewards that --replay.hindsight "
+                f"{self.replay.hindsight} computes; give one of them"
             )
         if self.echo_share and not self.retry_share:
             raise UserError(f"--echo_share {self.echo_share} is of retries; give --retry_share, too")

@@ -22,6 +22,11 @@ ROOT = Path(__file__).parents[2]
         (["--algo", "sb3-ddpg", "--learning_starts", "9"], "leave out --learning_starts"),
         (["--episode_steps", "1"], "--episode_steps 1 is less than --action_repeat 2"),
         (["--steps_after_success", "0"], "--steps_after_success must be at least 1, got 0"),
+        (
+            ["--success_bonus", "20", "--replay.hindsight", "4"],
+            "--success_bonus 20.0 is no part of the rewards that --replay.hindsight 4 computes; give one of them",
+        ),
+        (["--success_bonus", "-1"], "--success_bonus must be at least 0, got -1.0"),
         (["--echo_share", "0.5"], "--echo_share 0.5 is of retries; give --retry_share, too"),
         (["--learner.imitation_weight", "-1"], "--learner.imitation_weight must be in [0, 1000000], got -1.0"),
         (["--learner.gamma", "1.5"], "--learner.gamma must be in [0, 1], got 1.5"),

@@ -46,7 +46,9 @@ class DemonstratedStart:
         config = self._config
         if not config.demonstrations or self.cost is not None:
             return ""
-        acted = act_demonstrations(envs, config.demonstrations, config.demonstration_noise, config.seed)
+        acted = act_demonstrations(
+            envs, config.demonstrations, config.demonstration_noise, config.seed, config.success_bonus
+        )
         told = f"{len(acted.kept)} demonstrations took {acted.tries} tries and {acted.env_steps} env steps"
         if acted.env_steps + config.warmup_steps >= config.env_steps:
             raise FailureError(f"{told}, which leaves nothing of --env_steps {config.env_steps} to learn in")

@@ -17,6 +17,7 @@ from nerf_rl.errors import FailureError
 from nerf_rl.rl.environments.make import reset_some
 from nerf_rl.rl.environments.scripted import SCRIPTED_ACTION
 from nerf_rl.rl.experience.n_step import NStep, Transition
+from nerf_rl.rl.training.learnt_reward import learnt_reward
 
 _TRIES = 10  # for each episode that is wanted
 _TIMEOUT = 300.0  # [s] a worker that is silent for so long has hung
@@ -29,6 +30,7 @@ class Demonstration(NamedTuple):
     actions: Float[ndarray, "T A"]
     """as they were acted, with noise, in [-1, 1]"""
     rewards: Float[ndarray, "T"]
+    """as they are learnt from"""
     terminated: bool
     """otherwise its last step is a truncation"""
     success: bool
@@ -63,7 +65,9 @@ def demonstration_seeds(seed: int, episode: int) -> tuple[int, np.random.Generat
     )
 
 
-def act_demonstrations(envs: gymnasium.vector.VectorEnv, count: int, noise: float, seed: int) -> Demonstrations:
+def act_demonstrations(
+    envs: gymnasium.vector.VectorEnv, count: int, noise: float, seed: int, success_bonus: float = 0.0
+) -> Demonstrations:
     """Act until ``count`` episodes have had a success.
 
     No more are acted at a time than are still wanted, so that what is kept and what was spent depend on the seed, and
@@ -74,6 +78,7 @@ def act_demonstrations(envs: gymnasium.vector.VectorEnv, count: int, noise: floa
         count: episodes to keep.
         noise: standard deviation of the noise on actions.
         seed: of the run.
+        success_bonus: of the run, see :func:`nerf_rl.rl.training.learnt_reward.learnt_reward`.
 
     Raises:
         FailureError: the script succeeds in fewer than one of ten episodes.
@@ -87,13 +92,13 @@ def act_demonstrations(envs: gymnasium.vector.VectorEnv, count: int, noise: floa
                 f"{count}; lower --demonstration_noise or --action_repeat, or raise --episode_steps"
             )
         number = min(envs.num_envs, count - len(kept))
-        for episode in _act(envs, noise, seed, range(tries, tries + number)):
+        for episode in _act(envs, noise, seed, range(tries, tries + number), success_bonus):
             tries, env_steps = tries + 1, env_steps + episode.env_steps
             kept += [episode] if episode.success else []
     return Demonstrations(kept, tries, env_steps)
 
 
-def _act(envs: Any, noise: float, seed: int, episodes: Sequence[int]) -> list[Demonstration]:
+def _act(envs: Any, noise: float, seed: int, episodes: Sequence[int], success_bonus: float) -> list[Demonstration]:
     """Act an episode in each of the first environments; the others are stepped along, and not counted."""
     count, size = len(episodes), int(np.prod(envs.single_action_space.shape))
     drawn = [demonstration_seeds(seed, episode) for episode in episodes]
@@ -110,6 +115,7 @@ def _act(envs: Any, noise: float, seed: int, episodes: Sequence[int]) -> list[De
         action = np.clip(script, -1.0, 1.0).astype(np.float32)
         envs.step_async(action)
         next_observation, reward, terminated, truncated, info = envs.step_wait(timeout=_TIMEOUT)
+        reward = learnt_reward(reward, info, success_bonus)
         ended = terminated | truncated
         for env in [env for env in range(count) if env not in done]:
             steps[env].append((observation[env], action[env], float(reward[env])))

@@ -41,6 +41,7 @@ from nerf_rl.rl.training.echoes import REMEMBERED, Echoes
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes
 from nerf_rl.rl.training.evaluation_results import DEMONSTRATIONS
 from nerf_rl.rl.training.exploration import Exploration
+from nerf_rl.rl.training.learnt_reward import learnt_reward
 from nerf_rl.rl.training.zoo_files import ZooFiles
 
 _STEP_TIMEOUT = 300.0  # [s] a worker that is silent for so long has hung
@@ -263,7 +264,7 @@ class Trainer:
         stepped = self._envs.step_wait(timeout=_STEP_TIMEOUT)  # type: ignore[attr-defined]
         next_observation, reward, terminated, truncated, info = stepped
         truncated = truncated | self._curriculum.step(self._success, info["env_steps"])
-        learnt = reward + self._config.success_bonus * info.get("success", np.zeros_like(reward))
+        learnt = learnt_reward(reward, info, self._config.success_bonus)
         for env, n_step in enumerate(self._n_steps):
             step = (observation[env], action[env], float(learnt[env]), next_observation[env])
             self.replay.add(n_step.push(*step, bool(terminated[env]), bool(truncated[env])), env)

@@ -107,6 +107,14 @@ def test_a_demonstrations_transitions_are_those_of_training(envs: AsyncVectorEnv
     assert transitions[-1].discount == pytest.approx(0.9), "a time limit is no end"
 
 
+def test_a_success_is_worth_more_in_demonstrations_too_if_the_run_says_so(envs: AsyncVectorEnv) -> None:
+    plain, more = (act_demonstrations(envs, 1, 0.0, 1, bonus).kept[0] for bonus in (0.0, 20.0))
+    assert np.array_equal(plain.actions, more.actions)
+    added = more.rewards - plain.rewards
+    assert np.isclose(added, 20.0).any() and added[0] == 0.0, "the script opens the drawer after a while"
+    assert (np.isclose(added, 20.0) | (added == 0.0)).all()
+
+
 def test_seeds_are_those_of_neither_training_nor_evaluation() -> None:
     shown = {demonstration_seeds(0, episode)[0] for episode in range(200)}
     others = {training_seed(0, env, episode) for env in range(4) for episode in range(200)}

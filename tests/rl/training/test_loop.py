@@ -1,5 +1,6 @@
 """The training loop on the tiny environment: it learns, is repeatable, and resumes exactly."""
 
+import itertools
 import shutil
 from pathlib import Path
 from typing import Any
@@ -76,6 +77,28 @@ def test_training_episodes_that_succeed_late_go_on_and_evaluated_ones_do_not(
     assert lengths["0"] == {12} and 12 < max(lengths["1"]) <= 18
     with np.load(tmp_path / "evaluations.npz", allow_pickle=False) as file:
         assert file["successes"].any() and set(np.unique(file["ep_lengths"])) == {12}
+
+
+def test_a_bonus_for_success_is_learnt_from_and_told_nowhere(envs: AsyncVectorEnv, tmp_path: Path) -> None:
+    rows, monitors = [], []
+    for bonus in (0.0, 5.0):
+        run = tmp_path / str(bonus)
+        run.mkdir()
+        made = config(run, success_bonus=bonus, learning_starts=1000)  # both act alike until they have learnt
+        trainer = Trainer(made, envs, run)
+        train(trainer, 480)
+        rows.append(trainer.replay.rows(0, trainer.replay.stored))
+        monitors.append([line.split(",")[:2] for line in (run / "monitor.csv").read_text().splitlines()[2:]])
+        reward, n_step, gamma = trainer.observation_size + 1, made.learner.n_step, made.learner.gamma
+        trainer.replay.close()
+    assert monitors[0] == monitors[1]
+    more = rows[1] - rows[0]
+    gained, others = more[:, reward], np.delete(more.numpy(), reward, axis=1)
+    assert not others.any()
+    of_steps = [5.0 * gamma**step for step in range(n_step)]
+    sums = [sum(chosen) for count in range(n_step + 1) for chosen in itertools.combinations(of_steps, count)]
+    assert all(min(abs(value - one) for one in sums) < 1e-4 for value in gained.tolist())
+    assert gained.any() and not gained.all()
 
 
 def test_evaluated_episodes_do_not_end_after_their_success(envs: AsyncVectorEnv, tmp_path: Path) -> None:
