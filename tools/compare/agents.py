@@ -44,6 +44,7 @@ CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]
 OVERTIME = ["--success_overtime", "100"]
 BONUS = [*OVERTIME, "--success_bonus", "20"]
 ECHOES = [*OVERTIME, "--echo_share", "0.8"]
+BONUS_AND_ECHOES = [*BONUS, "--echo_share", "0.8"]
 TWO_UPDATES = ["--learner.updates_per_step", "2"]
 HALF_BATCHES = [*TWO_UPDATES, "--learner.batch_size", "64"]
 FASTER_ACTOR = ["--learner.actor_rate", "6e-4", "--learner.tau", "0.02"]
@@ -61,6 +62,11 @@ ARMS = {
     "strong self-imitation, curriculum and overtime": [*STRONG_IMITATION, *CURRICULUM, *OVERTIME],
     "strong self-imitation, curriculum, overtime and bonus": [*STRONG_IMITATION, *CURRICULUM, *BONUS],
     "strong self-imitation, curriculum, overtime and echoes": [*STRONG_IMITATION, *CURRICULUM, *ECHOES],
+    "strong self-imitation, curriculum, overtime, bonus and echoes": [
+        *STRONG_IMITATION,
+        *CURRICULUM,
+        *BONUS_AND_ECHOES,
+    ],
     "prioritised self-imitation and curriculum": [*PRIORITISED_IMITATION, *CURRICULUM],
     "strong self-imitation and curriculum, two updates a step": [*STRONG_IMITATION, *CURRICULUM, *TWO_UPDATES],
     "strong self-imitation and curriculum, two updates of half a batch": [
@@ -83,6 +89,12 @@ ARMS = {
         *STRONG_IMITATION,
         *CURRICULUM,
         *ECHOES,
+    ],
+    "blind, strong self-imitation, curriculum, overtime, bonus and echoes": [
+        *BLIND,
+        *STRONG_IMITATION,
+        *CURRICULUM,
+        *BONUS_AND_ECHOES,
     ],
     "blind, prioritised self-imitation and curriculum": [*BLIND, *PRIORITISED_IMITATION, *CURRICULUM],
     "blind, strong self-imitation and curriculum, two updates a step": [
