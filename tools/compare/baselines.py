@@ -1,0 +1,83 @@
+"""Time until a policy succeeds: our DDPG beside Stable-Baselines3's agents on the same latents, over the same seeds.
+
+Run from a checkout's root (extra sb3); seeds that are finished are not trained again:
+
+    .venv/bin/python -m tools.compare.baselines --encoder runs/demo/encoder --seeds 0..4
+
+Each seed runs in a process of its own with one thread, and every agent is evaluated in the same episodes. Recipes of
+Stable-Baselines3's agents have its own defaults but for what belongs to the task.
+"""
+
+import argparse
+import importlib.metadata
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from nerf_rl.files.atomic import write_text
+from nerf_rl.files.json_files import read_json, write_json
+from nerf_rl.rl.sweeps.runs import GOOD, run_folder
+from nerf_rl.rl.sweeps.seed_list import parse_seeds
+from nerf_rl.rl.training.evaluation_results import SUCCESS
+from tools.compare.agents import joined, row, train
+from tools.compare.precision import processor
+from tools.readme_tables import markdown_table, replace_tables
+
+RESULT, README = Path("rl/results/baselines.json"), Path("rl/README.md")
+SB3 = ["--config", "rl/drawer-open-sb3.yaml"]
+SB3_RATE = ["--learner.critic_rate", "1e-3"]  # its default for DDPG and TD3
+AGENTS = {
+    "DDPG, ours": ["--config", "rl/drawer-open.yaml"],
+    "SAC of Stable-Baselines3": SB3,
+    "TD3 of Stable-Baselines3": [*SB3, "--algo", "sb3-td3", *SB3_RATE],
+    "DDPG of Stable-Baselines3": [*SB3, "--algo", "sb3-ddpg", *SB3_RATE],
+}
+"""what is compared, and its keys, of which the first name a recipe"""
+KEYS = ["--evaluation_every", "5000", "--evaluation_episodes", "20", "--final_evaluation_episodes", "50"]
+
+
+def main() -> None:
+    """Train what is missing, then write what is known of all that was ever compared."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--encoder", required=True, help="what all of them see by")
+    parser.add_argument("--seeds", default="0..4", help="as train-rl takes them")
+    parser.add_argument("--agents", nargs="+", choices=AGENTS, default=list(AGENTS))
+    parser.add_argument("--env_steps", type=int, default=50_000, help="of each run")
+    parser.add_argument("--work", type=Path, default=Path("runs/baselines"), help="folder of the runs")
+    arguments = parser.parse_args()
+    for agent in arguments.agents:
+        folder = arguments.work / agent.replace(" ", "-").replace(",", "")
+        words = [*KEYS, "--env_steps", str(arguments.env_steps), "--encoder", arguments.encoder]
+        train([*AGENTS[agent], *words, "--seeds", arguments.seeds, "--workers", "1", "--out", str(folder)])
+        runs = [row(run_folder(folder, seed)) for seed in parse_seeds(arguments.seeds)]
+        known = read_json(RESULT)["agents"] if RESULT.exists() else []
+        what = {"agent": agent, "env_steps": arguments.env_steps}
+        versions = {"stable-baselines3": importlib.metadata.version("stable-baselines3")}
+        agents = joined(known, what, {"keys": AGENTS[agent], "processor": processor(), **versions}, runs)
+        agents.sort(key=lambda each: (each["env_steps"], list(AGENTS).index(each["agent"])))
+        write_json(RESULT, {"command": f"python -m tools.compare.baselines; {' '.join(KEYS)}", "agents": agents})
+        write_text(README, replace_tables(README.read_text(), {"baselines": table(agents)}))
+
+
+def table(agents: list[dict[str, Any]]) -> str:
+    """Return a row for each agent: when each of its seeds first succeeded in 95 % of an evaluation, and at the end."""
+    rows = []
+    for agent in agents:
+        runs = agent["runs"]
+        good = [run["good"] or {} for run in runs]
+        steps = (f"{first['env_steps']:,}" if first else "-" for first in good)
+        seconds = (f"{first['seconds']:.0f}" if first else "-" for first in good)
+        each = [(run["seed"] for run in runs), steps, seconds, (f"{run['seconds']:.0f}" for run in runs)]
+        each.append(f"{100 * run['evaluations'][-1][SUCCESS]:.0f}" for run in runs)
+        rows.append([agent["agent"], f"{agent['env_steps']:,}", *map(listed, each)])
+    first = [f"env steps at {GOOD:.0%}", f"seconds to {GOOD:.0%}"]
+    return markdown_table(["agent", "env steps", "seeds", *first, "seconds in all", "success at the end [%]"], rows)
+
+
+def listed(values: Iterable[Any]) -> str:
+    """Return what stands in a cell for one value of each seed."""
+    return "; ".join(map(str, values))
+
+
+if __name__ == "__main__":
+    main()
