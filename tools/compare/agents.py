@@ -46,6 +46,7 @@ BONUS = [*OVERTIME, "--success_bonus", "20"]
 ECHOES = [*OVERTIME, "--echo_share", "0.8"]
 BONUS_AND_ECHOES = [*BONUS, "--echo_share", "0.8"]
 TWO_UPDATES = ["--learner.updates_per_step", "2"]
+MORE_UPDATES = ["--learner.updates_per_step", "1.5"]
 HALF_BATCHES = [*TWO_UPDATES, "--learner.batch_size", "64"]
 FASTER_ACTOR = ["--learner.actor_rate", "6e-4", "--learner.tau", "0.02"]
 BLIND = ["--control", "blind"]
@@ -66,6 +67,12 @@ ARMS = {
         *STRONG_IMITATION,
         *CURRICULUM,
         *BONUS_AND_ECHOES,
+    ],
+    "strong self-imitation, curriculum, overtime and bonus, 1.5 updates a step": [
+        *STRONG_IMITATION,
+        *CURRICULUM,
+        *BONUS,
+        *MORE_UPDATES,
     ],
     "prioritised self-imitation and curriculum": [*PRIORITISED_IMITATION, *CURRICULUM],
     "strong self-imitation and curriculum, two updates a step": [*STRONG_IMITATION, *CURRICULUM, *TWO_UPDATES],
