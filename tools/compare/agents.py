@@ -103,6 +103,13 @@ ARMS = {
         *CURRICULUM,
         *BONUS_AND_ECHOES,
     ],
+    "blind, strong self-imitation, curriculum, overtime and bonus, 1.5 updates a step": [
+        *BLIND,
+        *STRONG_IMITATION,
+        *CURRICULUM,
+        *BONUS,
+        *MORE_UPDATES,
+    ],
     "blind, prioritised self-imitation and curriculum": [*BLIND, *PRIORITISED_IMITATION, *CURRICULUM],
     "blind, strong self-imitation and curriculum, two updates a step": [
         *BLIND,
