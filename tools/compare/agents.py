@@ -37,96 +37,47 @@ ON_THE_WAY, EPISODES = 30_000, 50
 KEYS = ["--evaluation_every", str(ON_THE_WAY), "--checkpoint_every", str(ON_THE_WAY)]
 KEYS += ["--evaluation_episodes", str(EPISODES), "--final_evaluation_episodes", str(EPISODES)]
 UNBOUNDED, UNWAITING = ["--learner.bound_by_returns", "false"], ["--noise.wait_for_successes", "0"]
-IMITATION = ["--learner.imitation_weight", "0.1"]
-STRONG_IMITATION = ["--learner.imitation_weight", "0.5"]
-PRIORITISED_IMITATION = [*STRONG_IMITATION, "--learner.imitation_batch", "critic"]
 CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]
-OVERTIME = ["--success_overtime", "100"]
+WEAK = ["--learner.imitation_weight", "0.1", *CURRICULUM]
+STRONG = ["--learner.imitation_weight", "0.5", *CURRICULUM]
+PRIORITISED = [*STRONG, "--learner.imitation_batch", "critic"]
+OVERTIME = [*STRONG, "--success_overtime", "100"]
 BONUS = [*OVERTIME, "--success_bonus", "20"]
-ECHOES = [*OVERTIME, "--echo_share", "0.8"]
-BONUS_AND_ECHOES = [*BONUS, "--echo_share", "0.8"]
+ECHOES = ["--echo_share", "0.8"]
 TWO_UPDATES = ["--learner.updates_per_step", "2"]
-MORE_UPDATES = ["--learner.updates_per_step", "1.5"]
-HALF_BATCHES = [*TWO_UPDATES, "--learner.batch_size", "64"]
 FASTER_ACTOR = ["--learner.actor_rate", "6e-4", "--learner.tau", "0.02"]
-BLIND = ["--control", "blind"]
-DEMONSTRATIONS = ["--config", "rl/demonstrations.yaml"]
-ARMS = {
-    "the recipe": [],
+THE_RECIPE, BLIND = "the recipe", "blind"
+SEEING = {
+    THE_RECIPE: [],
     "targets without bounds": UNBOUNDED,
     "exploration that does not wait": UNWAITING,
     "neither": [*UNBOUNDED, *UNWAITING],
-    "self-imitation": IMITATION,
+    "self-imitation": WEAK[:2],
     "curriculum": CURRICULUM,
-    "self-imitation and curriculum": [*IMITATION, *CURRICULUM],
-    "strong self-imitation and curriculum": [*STRONG_IMITATION, *CURRICULUM],
-    "strong self-imitation, curriculum and overtime": [*STRONG_IMITATION, *CURRICULUM, *OVERTIME],
-    "strong self-imitation, curriculum, overtime and bonus": [*STRONG_IMITATION, *CURRICULUM, *BONUS],
-    "strong self-imitation, curriculum, overtime and echoes": [*STRONG_IMITATION, *CURRICULUM, *ECHOES],
-    "strong self-imitation, curriculum, overtime, bonus and echoes": [
-        *STRONG_IMITATION,
-        *CURRICULUM,
-        *BONUS_AND_ECHOES,
-    ],
+    "self-imitation and curriculum": WEAK,
+    "strong self-imitation and curriculum": STRONG,
+    "strong self-imitation, curriculum and overtime": OVERTIME,
+    "strong self-imitation, curriculum, overtime and bonus": BONUS,
+    "strong self-imitation, curriculum, overtime and echoes": [*OVERTIME, *ECHOES],
+    "strong self-imitation, curriculum, overtime, bonus and echoes": [*BONUS, *ECHOES],
     "strong self-imitation, curriculum, overtime and bonus, 1.5 updates a step": [
-        *STRONG_IMITATION,
-        *CURRICULUM,
         *BONUS,
-        *MORE_UPDATES,
+        *("--learner.updates_per_step", "1.5"),
     ],
-    "prioritised self-imitation and curriculum": [*PRIORITISED_IMITATION, *CURRICULUM],
-    "strong self-imitation and curriculum, two updates a step": [*STRONG_IMITATION, *CURRICULUM, *TWO_UPDATES],
+    "prioritised self-imitation and curriculum": PRIORITISED,
+    "strong self-imitation and curriculum, two updates a step": [*STRONG, *TWO_UPDATES],
     "strong self-imitation and curriculum, two updates of half a batch": [
-        *STRONG_IMITATION,
-        *CURRICULUM,
-        *HALF_BATCHES,
-    ],
-    "strong self-imitation and curriculum, faster actor": [*STRONG_IMITATION, *CURRICULUM, *FASTER_ACTOR],
-    "blind": BLIND,
-    "blind, strong self-imitation and curriculum": [*BLIND, *STRONG_IMITATION, *CURRICULUM],
-    "blind, strong self-imitation, curriculum and overtime": [*BLIND, *STRONG_IMITATION, *CURRICULUM, *OVERTIME],
-    "blind, strong self-imitation, curriculum, overtime and bonus": [
-        *BLIND,
-        *STRONG_IMITATION,
-        *CURRICULUM,
-        *BONUS,
-    ],
-    "blind, strong self-imitation, curriculum, overtime and echoes": [
-        *BLIND,
-        *STRONG_IMITATION,
-        *CURRICULUM,
-        *ECHOES,
-    ],
-    "blind, strong self-imitation, curriculum, overtime, bonus and echoes": [
-        *BLIND,
-        *STRONG_IMITATION,
-        *CURRICULUM,
-        *BONUS_AND_ECHOES,
-    ],
-    "blind, strong self-imitation, curriculum, overtime and bonus, 1.5 updates a step": [
-        *BLIND,
-        *STRONG_IMITATION,
-        *CURRICULUM,
-        *BONUS,
-        *MORE_UPDATES,
-    ],
-    "blind, prioritised self-imitation and curriculum": [*BLIND, *PRIORITISED_IMITATION, *CURRICULUM],
-    "blind, strong self-imitation and curriculum, two updates a step": [
-        *BLIND,
-        *STRONG_IMITATION,
-        *CURRICULUM,
+        *STRONG,
         *TWO_UPDATES,
+        *("--learner.batch_size", "64"),
     ],
-    "blind, strong self-imitation and curriculum, two updates of half a batch": [
-        *BLIND,
-        *STRONG_IMITATION,
-        *CURRICULUM,
-        *HALF_BATCHES,
-    ],
-    "3 demonstrations": DEMONSTRATIONS,
-    "blind, 3 demonstrations": [*DEMONSTRATIONS, *BLIND],
+    "strong self-imitation and curriculum, faster actor": [*STRONG, *FASTER_ACTOR],
+    "3 demonstrations": ["--config", "rl/demonstrations.yaml"],
 }
 """what is done otherwise, and the keys for it; a recipe, which comes first, takes the place of RECIPE"""
+ARMS = SEEING | {
+    BLIND if arm == THE_RECIPE else f"{BLIND}, {arm}": [*keys, "--control", "blind"] for arm, keys in SEEING.items()
+}
 ONE_SUCCESS, LAST_WEIGHTS = ", from one success", ", last weights"
 VARIATIONS = {ONE_SUCCESS: ["--noise.wait_for_successes", "1"], LAST_WEIGHTS: ["--learner.policy_average", "0"]}
 """of every arm: what its name ends with, and the keys for it"""
