@@ -145,8 +145,6 @@ class LearnerConfig:
     imitation_weight: Annotated[float, Limits(least=0, most=10**6)] = 0.0
     """draw the actor to its own past actions where their episodes brought more than the critic expects of it now (Oh et
     al. 2018, "self-imitation learning"), by so much, times this weight; 0 for never"""
-    imitation_batch: Literal["actor", "critic"] = "actor"
-    """whose batch holds those actions: the actor's, or the critic's, in which priorities repeat what was a surprise"""
     updates_per_step: Annotated[float, Limits(above=0, most=1000)] = 1.0
     """gradient updates per agent step"""
     reset_after: Natural = 0
@@ -237,9 +235,6 @@ class TrainRLConfig:
     retry_share: ShareBelowOne = 0.0
     """probability that a training episode begins where one has failed lately, which is tried again once, with as much
     noise as at the first step; from the first success on, if the scene tells of it, and ddpg only"""
-    echo_share: ShareBelowOne = 0.0
-    """probability that such a retry has no more noise than others, and does again, without looking, what succeeded from
-    a start that is like its own"""
     envs: Processes = 2
     """environments, each in a process of its own"""
     warmup_steps: Natural = 2_000
@@ -321,8 +316,6 @@ class TrainRLConfig:
                 f"--success_bonus {self.success_bonus} is no part of the rewards that --replay.hindsight "
                 f"{self.replay.hindsight} computes; give one of them"
             )
-        if self.echo_share and not self.retry_share:
-            raise UserError(f"--echo_share {self.echo_share} is of retries; give --retry_share, too")
 
     def content(self) -> dict[str, Any]:
         """Return the keys that must not change when a run is resumed."""

@@ -40,10 +40,8 @@ UNBOUNDED, UNWAITING = ["--learner.bound_by_returns", "false"], ["--noise.wait_f
 CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]
 WEAK = ["--learner.imitation_weight", "0.1", *CURRICULUM]
 STRONG = ["--learner.imitation_weight", "0.5", *CURRICULUM]
-PRIORITISED = [*STRONG, "--learner.imitation_batch", "critic"]
 OVERTIME = [*STRONG, "--success_overtime", "100"]
 BONUS = [*OVERTIME, "--success_bonus", "20"]
-ECHOES = ["--echo_share", "0.8"]
 TWO_UPDATES = ["--learner.updates_per_step", "2"]
 FASTER_ACTOR = ["--learner.actor_rate", "6e-4", "--learner.tau", "0.02"]
 THE_RECIPE, BLIND = "the recipe", "blind"
@@ -58,13 +56,10 @@ SEEING = {
     "strong self-imitation and curriculum": STRONG,
     "strong self-imitation, curriculum and overtime": OVERTIME,
     "strong self-imitation, curriculum, overtime and bonus": BONUS,
-    "strong self-imitation, curriculum, overtime and echoes": [*OVERTIME, *ECHOES],
-    "strong self-imitation, curriculum, overtime, bonus and echoes": [*BONUS, *ECHOES],
     "strong self-imitation, curriculum, overtime and bonus, 1.5 updates a step": [
         *BONUS,
         *("--learner.updates_per_step", "1.5"),
     ],
-    "prioritised self-imitation and curriculum": PRIORITISED,
     "strong self-imitation and curriculum, two updates a step": [*STRONG, *TWO_UPDATES],
     "strong self-imitation and curriculum, two updates of half a batch": [
         *STRONG,

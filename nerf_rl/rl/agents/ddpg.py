@@ -160,8 +160,7 @@ class DDPG:
             return critic_metrics
         own = self.learner.actor_batch == "uniform" and replay.prioritised
         actor_batch = self._standardise(replay.sample_uniform()) if own else batch
-        imitated = batch if own and self.learner.imitation_batch == "critic" else None
-        actor_metrics = self.update_actor(actor_batch, self._demonstrated(replay), imitated)
+        actor_metrics = self.update_actor(actor_batch, self._demonstrated(replay))
         self._slow_actor.follow()
         if self._average:
             self._average.follow()
@@ -194,16 +193,13 @@ class DDPG:
         }
         return metrics, error
 
-    def update_actor(self, batch: Batch, demonstrated: Batch | None = None, imitated: Batch | None = None) -> Metrics:
+    def update_actor(self, batch: Batch, demonstrated: Batch | None = None) -> Metrics:
         """Climb Q(s, mu(s)); the critic's parameters are held still and receive no gradient.
 
         Args:
             batch: standardised.
             demonstrated: not to go far from, for now: w mean|Q| mean (mu(s) - a)^2 joins the loss, after TD3+BC
                 (Fujimoto and Gu 2021), with a weight w that falls to 0 over ``learner.clone_updates``.
-            imitated: where mu is drawn to what was done, see :meth:`_imitation`; ``batch`` if there is none. What
-                brought more than was expected has a large error where targets are bounded by it, so that the critic's
-                prioritised batch has it more often than a uniform one.
         """
         with self._gathering(self.actor):
             pre_tanh = self.actor.pre_tanh(batch.observation)
@@ -214,10 +210,7 @@ class DDPG:
         loss = -value.mean() + self.learner.pre_tanh_penalty * magnitude
         metrics = {}
         if self.learner.imitation_weight > 0:
-            if imitated is None:
-                imitation, surplus = self._imitation(batch, action, value.detach())
-            else:
-                imitation, surplus = self._imitation(imitated, *self._expected(imitated))
+            imitation, surplus = self._imitation(batch, action, value.detach())
             loss = loss + self.learner.imitation_weight * imitation
             metrics["surplus"] = surplus.item()
         if distance is not None:
@@ -236,13 +229,6 @@ class DDPG:
         self._step(self.actor_optimiser, distance)
         self._slow_actor.follow()
         return metrics | {"clone_error": distance.item()}
-
-    def _expected(self, batch: Batch) -> tuple[Float[Tensor, "B A"], Float[Tensor, "B"]]:
-        """Return mu(s), and Q(s, mu(s)) without a gradient."""
-        with self._gathering(self.actor):
-            action = self.actor(batch.observation)
-        with torch.no_grad():
-            return action, self.critic(batch.observation, action)
 
     def _imitation(
         self, batch: Batch, action: Float[Tensor, "B A"], expected: Float[Tensor, "B"]

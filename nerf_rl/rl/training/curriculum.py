@@ -25,9 +25,6 @@ class Curriculum:
     (after prioritised level replay, Jiang et al. 2021, with failure for a score). What fails before anything has
     succeeded tells nothing of its start.
 
-    Or the retry does again what has succeeded from a start that is like it (an echo, see
-    :class:`nerf_rl.rl.training.echoes.Echoes`).
-
     To rest at the goal teaches less than another episode does, so episodes end soon after a success. But the first
     successes go on: only what they bring to the end tells the agent what it had not known, that they are worth more.
 
@@ -37,12 +34,10 @@ class Curriculum:
         retry_share: most of the episodes that are such retries.
         steps_after_success: environment steps for which an episode goes on after a success, once at least half of the
             latest episodes at new places have succeeded; with None all go on.
-        rng: draws which episodes are retries, and which of these are echoes.
-        echo_share: of the retries that are echoes.
+        rng: draws which episodes are retries.
 
     Attributes:
         retried: which environments [E] are in a retry.
-        echoed: which of these retries are echoes.
     """
 
     def __init__(
@@ -52,28 +47,19 @@ class Curriculum:
         retry_share: float,
         steps_after_success: int | None,
         rng: np.random.Generator,
-        echo_share: float = 0.0,
     ):
         self._seed, self._share, self._enough, self._rng = seed, retry_share, steps_after_success, rng
-        self._echo_share = echo_share
         self._index, self._running = [0] * envs, [0] * envs
         self._failed: deque[int] = deque(maxlen=_REMEMBERED)
         self._recent: deque[bool] = deque(maxlen=_RECENT)
         self._ever_succeeded = False
         self._after_success = np.zeros(envs, np.int64)
         self.retried: Bool[ndarray, "E"] = np.zeros(envs, np.bool_)
-        self.echoed: Bool[ndarray, "E"] = np.zeros(envs, np.bool_)
 
-    def begin(self, env: int, successes: int = 0) -> int:
-        """Return the seed of the next episode of an environment.
-
-        Args:
-            env: which of the environments.
-            successes: that a retry could do again.
-        """
+    def begin(self, env: int) -> int:
+        """Return the seed of the next episode of an environment."""
         self._after_success[env] = 0
         self.retried[env] = bool(self._failed) and self._rng.random() < self._share
-        self.echoed[env] = bool(self.retried[env]) and successes > 0 and self._rng.random() < self._echo_share
         if self.retried[env]:
             self._running[env] = self._failed.popleft()
         else:

@@ -188,3 +188,23 @@ def test_targets_start_as_copies() -> None:
     learner = agent()
     assert same(parameters(learner.actor), parameters(learner.target_actor))
     assert copy.deepcopy(learner.critic).state_dict().keys() == learner.target_critic.state_dict().keys()
+
+
+@pytest.mark.parametrize("whose", ["uniform", "prioritised"])
+def test_the_actor_learns_from_the_batch_that_it_is_told_to(whose: str, tmp_path: Path) -> None:
+    class Watched(DDPG):
+        def update_critic(self, batch: Batch) -> tuple[dict[str, float], torch.Tensor]:
+            self.of_critic = batch
+            return super().update_critic(batch)
+
+        def update_actor(self, batch: Batch, demonstrated: Batch | None = None) -> dict[str, float]:
+            self.of_actor = batch
+            return super().update_actor(batch, demonstrated)
+
+    replay = Replay(ReplayConfig(capacity=64), 3, 2, 16, tmp_path / "replay")
+    here = np.zeros(3, np.float32)
+    replay.add([Transition(here, np.full(2, 0.1 * i, np.float32), 1.0, 0.9, here) for i in range(20)], 0)
+    learner = LearnerConfig(actor_batch=whose, batch_size=16)
+    made = Watched(3, 2, NetworkConfig(hidden=[16, 16], standardise=False), learner)
+    made.update(replay, 1.0)
+    assert (made.of_actor is made.of_critic) is (whose == "prioritised")

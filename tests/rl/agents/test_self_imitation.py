@@ -1,16 +1,11 @@
 """The actor's pull towards what it did once, where that brought more than is expected of it now."""
 
-from pathlib import Path
-from typing import Literal
-
-import numpy as np
 import pytest
 import torch
 
 from nerf_rl.rl.agents.ddpg import DDPG
-from nerf_rl.rl.config import LearnerConfig, NetworkConfig, ReplayConfig
-from nerf_rl.rl.experience.n_step import Transition
-from nerf_rl.rl.experience.replay import Batch, Replay
+from nerf_rl.rl.config import LearnerConfig, NetworkConfig
+from nerf_rl.rl.experience.replay import Batch
 
 UNKNOWN = torch.finfo(torch.float32).min
 DONE, SCALE = 0.7, 0.5
@@ -61,36 +56,6 @@ def test_the_loss_is_the_mean_of_surplus_times_squared_distance() -> None:
     metrics = agent.update_actor(b)
     assert metrics["surplus"] == pytest.approx(float(surplus.mean()))
     assert metrics["actor_loss"] == pytest.approx(-2.0 + 0.3 * float((surplus * distance).mean()), abs=1e-5)
-
-
-def test_another_batch_can_be_imitated_than_the_actors_own() -> None:
-    agent, own = made(1.0), batch(10.0)._replace(action=torch.full((16, 2), -DONE))
-    for _ in range(200):
-        agent.update_actor(own, imitated=batch(10.0))
-    assert (agent.actor(own.observation).detach() - DONE).abs().max() < 0.05
-
-
-@pytest.mark.parametrize("whose", ["actor", "critic"])
-def test_an_update_imitates_the_batch_that_it_is_told_to(whose: Literal["actor", "critic"], tmp_path: Path) -> None:
-    class Watched(DDPG):
-        def update_critic(self, batch: Batch) -> tuple[dict[str, float], torch.Tensor]:
-            self.of_critic = batch
-            return super().update_critic(batch)
-
-        def update_actor(self, batch: Batch, *others: Batch | None) -> dict[str, float]:
-            self.of_actor = (batch, *others)
-            return super().update_actor(batch, *others)
-
-    replay = Replay(ReplayConfig(capacity=64), 3, 2, 16, tmp_path / "replay", bounded_steps=3)
-    here = np.zeros(3, np.float32)
-    replay.add([Transition(here, np.full(2, 0.1 * i, np.float32), 1.0, 0.9, here) for i in range(10)], 0)
-    replay.end_episode(0, lambda observation: 0.0)
-    learner = LearnerConfig(imitation_weight=0.5, imitation_batch=whose, batch_size=16)
-    agent = Watched(3, 2, NetworkConfig(hidden=[16, 16], standardise=False), learner)
-    agent.update(replay, 1.0)
-    own, demonstrated, imitated = agent.of_actor
-    assert own is not agent.of_critic and demonstrated is None
-    assert imitated is {"actor": None, "critic": agent.of_critic}[whose]  # none: the actor's own
 
 
 def test_without_a_weight_nothing_is_imitated() -> None:
