@@ -33,11 +33,6 @@ class DepthCodes:
         ratio = max(farthest / nearest, _LEAST_RATIO)
         return cls(nearest, nearest * ratio ** (TOPMOST / (TOPMOST - 1)))
 
-    @property
-    def largest_error(self) -> float:
-        """How far depth may be off, as a share of it."""
-        return math.expm1(math.log(self.farthest / self.nearest) / TOPMOST / 2)
-
     def encode(self, depth: Float32[ndarray, "*N"], hit: float) -> UInt16[ndarray, "*N"]:
         """Return codes.
 
