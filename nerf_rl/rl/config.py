@@ -235,6 +235,9 @@ class TrainRLConfig:
     retry_share: ShareBelowOne = 0.0
     """probability that a training episode begins where one has failed lately, which is tried again once, with as much
     noise as at the first step; from the first success on, if the scene tells of it, and ddpg only"""
+    echo_share: ShareBelowOne = 0.0
+    """probability that such a retry has no more noise than others, and does again, without looking, what succeeded from
+    a start that is like its own; as long as successes are rare"""
     envs: Processes = 2
     """environments, each in a process of its own"""
     warmup_steps: Natural = 2_000
@@ -316,6 +319,8 @@ class TrainRLConfig:
                 f"--success_bonus {self.success_bonus} is no part of the rewards that --replay.hindsight "
                 f"{self.replay.hindsight} computes; give one of them"
             )
+        if self.echo_share and not self.retry_share:
+            raise UserError(f"--echo_share {self.echo_share} is of retries; give --retry_share, too")
 
     def content(self) -> dict[str, Any]:
         """Return the keys that must not change when a run is resumed."""

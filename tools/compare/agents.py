@@ -42,6 +42,8 @@ WEAK = ["--learner.imitation_weight", "0.1", *CURRICULUM]
 STRONG = ["--learner.imitation_weight", "0.5", *CURRICULUM]
 OVERTIME = [*STRONG, "--success_overtime", "100"]
 BONUS = [*OVERTIME, "--success_bonus", "20"]
+LANDED = [*BONUS, "--learner.updates_per_step", "1.5"]
+ECHOES = ["--echo_share", "0.8"]
 TWO_UPDATES = ["--learner.updates_per_step", "2"]
 FASTER_ACTOR = ["--learner.actor_rate", "6e-4", "--learner.tau", "0.02"]
 THE_RECIPE, BLIND = "the recipe", "blind"
@@ -56,10 +58,8 @@ SEEING = {
     "strong self-imitation and curriculum": STRONG,
     "strong self-imitation, curriculum and overtime": OVERTIME,
     "strong self-imitation, curriculum, overtime and bonus": BONUS,
-    "strong self-imitation, curriculum, overtime and bonus, 1.5 updates a step": [
-        *BONUS,
-        *("--learner.updates_per_step", "1.5"),
-    ],
+    "strong self-imitation, curriculum, overtime and bonus, 1.5 updates a step": LANDED,
+    "strong self-imitation, curriculum, overtime, bonus and early echoes, 1.5 updates a step": [*LANDED, *ECHOES],
     "strong self-imitation and curriculum, two updates a step": [*STRONG, *TWO_UPDATES],
     "strong self-imitation and curriculum, two updates of half a batch": [
         *STRONG,

@@ -15,6 +15,7 @@ STRUCTURE = {"failed_starts": listing(whole()), "ever_succeeded": flag, "recent"
 """of what :meth:`Curriculum.state_dict` has beside ``episode_index``, which checkpoints of every version hold"""
 _REMEMBERED = 20  # of the failures; older ones are of a policy that has learnt since
 _RECENT = 20  # of the episodes at new places
+_RARE = 5  # successes among these
 
 
 class Curriculum:
@@ -25,6 +26,10 @@ class Curriculum:
     (after prioritised level replay, Jiang et al. 2021, with failure for a score). What fails before anything has
     succeeded tells nothing of its start.
 
+    As long as hardly anything succeeds at new places, the retry may do again what has succeeded from a start that is
+    like it (an echo, see :class:`nerf_rl.rl.training.echoes.Echoes`). Where successes come by themselves, echoes would
+    take the place of tries.
+
     To rest at the goal teaches less than another episode does, so episodes end soon after a success. But the first
     successes go on: only what they bring to the end tells the agent what it had not known, that they are worth more.
 
@@ -34,10 +39,12 @@ class Curriculum:
         retry_share: most of the episodes that are such retries.
         steps_after_success: environment steps for which an episode goes on after a success, once at least half of the
             latest episodes at new places have succeeded; with None all go on.
-        rng: draws which episodes are retries.
+        rng: draws which episodes are retries, and which of these are echoes.
+        echo_share: of the retries that are echoes.
 
     Attributes:
         retried: which environments [E] are in a retry.
+        echoed: which of these retries are echoes.
     """
 
     def __init__(
@@ -47,19 +54,29 @@ class Curriculum:
         retry_share: float,
         steps_after_success: int | None,
         rng: np.random.Generator,
+        echo_share: float = 0.0,
     ):
         self._seed, self._share, self._enough, self._rng = seed, retry_share, steps_after_success, rng
+        self._echo_share = echo_share
         self._index, self._running = [0] * envs, [0] * envs
         self._failed: deque[int] = deque(maxlen=_REMEMBERED)
         self._recent: deque[bool] = deque(maxlen=_RECENT)
         self._ever_succeeded = False
         self._after_success = np.zeros(envs, np.int64)
         self.retried: Bool[ndarray, "E"] = np.zeros(envs, np.bool_)
+        self.echoed: Bool[ndarray, "E"] = np.zeros(envs, np.bool_)
 
-    def begin(self, env: int) -> int:
-        """Return the seed of the next episode of an environment."""
+    def begin(self, env: int, successes: int = 0) -> int:
+        """Return the seed of the next episode of an environment.
+
+        Args:
+            env: which of the environments.
+            successes: that a retry could do again.
+        """
         self._after_success[env] = 0
         self.retried[env] = bool(self._failed) and self._rng.random() < self._share
+        echoes = bool(self.retried[env]) and successes > 0 and sum(self._recent) < _RARE
+        self.echoed[env] = echoes and self._rng.random() < self._echo_share
         if self.retried[env]:
             self._running[env] = self._failed.popleft()
         else:

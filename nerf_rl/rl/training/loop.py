@@ -37,6 +37,7 @@ from nerf_rl.rl.training.curriculum import Curriculum
 from nerf_rl.rl.training.curves import MetricsLog
 from nerf_rl.rl.training.deadlock import DeadlockMonitor
 from nerf_rl.rl.training.demonstrated_start import DemonstratedStart
+from nerf_rl.rl.training.echoes import REMEMBERED, Echoes
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes
 from nerf_rl.rl.training.evaluation_results import DEMONSTRATIONS
 from nerf_rl.rl.training.exploration import Exploration
@@ -87,7 +88,8 @@ class Trainer:
         self._length = np.zeros(count, np.int64)
         self._returns, self._success = np.zeros(count), np.zeros(count, np.bool_)
         eased = (config.retry_share, config.steps_after_success)
-        self._curriculum = Curriculum(config.seed, count, *eased, self._rng)
+        self._curriculum = Curriculum(config.seed, count, *eased, self._rng, config.echo_share)
+        self._echoes = Echoes(count, REMEMBERED if config.echo_share else 0, self._rng)
         self.env_steps, self.episodes, self._credit = 0, 0, 0.0
         self._seconds_before, self._start = 0.0, time.monotonic()
         self.evaluations: list[dict[str, Any]] = []
@@ -170,6 +172,7 @@ class Trainer:
         """Write a checkpoint; call it only between two calls of :meth:`train`."""
         tensors = {f"agent.{name}": tensor for name, tensor in self.agent.state_dict().items()}
         tensors |= {f"replay.{name}": tensor for name, tensor in self.replay.bookkeeping().items()}
+        tensors |= {f"echo.{name}": tensor for name, tensor in self._echoes.state_dict().items()}
         tensors["torch_rng"] = torch.get_rng_state()
         facts = {
             "env_steps": self.env_steps,
@@ -213,6 +216,8 @@ class Trainer:
         self.env_steps, self.agent.updates, self.episodes = facts["env_steps"], facts["updates"], facts["episodes"]
         self._credit, self._seconds_before, self.evaluations = facts["credit"], facts["seconds"], facts["evaluations"]
         self._curriculum.load_state_dict(facts)
+        sizes = (self.observation_size, self.action_size)
+        self._echoes.load_state_dict(strip_prefix(tensors, "echo"), sizes, checkpoint)
         self._rng.bit_generator.state = facts["rng"]
         self._monitor.load_state_dict(facts["monitor"])
         self._exploration.load_state_dict(facts)
@@ -243,14 +248,17 @@ class Trainer:
         """Start new episodes where ``which`` [E] is true; return all observations."""
         seeds = [0] * self._envs.num_envs
         for env in np.flatnonzero(which).tolist():
-            seeds[env] = self._curriculum.begin(env)
+            seeds[env] = self._curriculum.begin(env, len(self._echoes))
             self._returns[env], self._success[env], self._length[env] = 0.0, False, 0
             self._exploration.begin_episode(env, self.env_steps)
-        return reset_some(self._envs, which, seeds, self._config.success_overtime)
+        observation = reset_some(self._envs, which, seeds, self._config.success_overtime)
+        for env in np.flatnonzero(which).tolist():
+            self._echoes.begin(env, observation[env], bool(self._curriculum.echoed[env]))
+        return observation
 
     def _step(self, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E O"]:
         """Act once in every environment, learning meanwhile; return the next observations."""
-        action = self._explore(observation)
+        action = self._echoes.act(self._explore(observation), self._success)
         self._envs.step_async(action)  # type: ignore[attr-defined]
         self._learn()
         stepped = self._envs.step_wait(timeout=_STEP_TIMEOUT)  # type: ignore[attr-defined]
@@ -276,11 +284,15 @@ class Trainer:
             self.episodes += 1
             self.replay.end_episode(env, self._value())
             success = bool(self._success[env]) if "success" in info else None
+            self._echoes.end(env, bool(success))
             self._curriculum.end(env, success)
             self._exploration.end_episode(success, self.env_steps)
             self._zoo.add_episode(
                 float(self._returns[env]), int(self._length[env]), self.seconds, success, self.env_steps
             )
+            if self._curriculum.echoed[env]:  # tells nothing of the policy
+                self.metrics.gather({"echo_success": float(self._success[env])})
+                continue
             self._monitor.end_episode(self.env_steps, float(self._returns[env]), success)
             figures = {"episode_return": self._returns[env], "episode_length": float(self._length[env])}
             self.metrics.gather(figures | ({"episode_success": float(self._success[env])} if "success" in info else {}))
@@ -290,7 +302,8 @@ class Trainer:
         """Return random actions in the warm-up, then some around the policy's."""
         if self._acted < self._config.warmup_steps:
             return self._exploration.warm_up()
-        return self._exploration.around(self.agent.act(observation), self.env_steps, self._curriculum.retried)
+        anew = self._curriculum.retried & ~self._curriculum.echoed
+        return self._exploration.around(self.agent.act(observation), self.env_steps, anew)
 
     def _learn(self) -> None:
         """Do the updates that the steps so far are worth."""

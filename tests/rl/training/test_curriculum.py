@@ -156,8 +156,8 @@ def test_a_run_tries_again_where_it_failed_and_resumes_to_the_same_episodes(
     begun: list[tuple[int, bool]] = []
     begin = Curriculum.begin
 
-    def noted(self: Curriculum, env: int) -> int:
-        seed = begin(self, env)
+    def noted(self: Curriculum, env: int, successes: int = 0) -> int:
+        seed = begin(self, env, successes)
         begun.append((seed, bool(self.retried[env])))
         return seed
 
