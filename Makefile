@@ -2,7 +2,7 @@
 # make demo-quick    the same at a tenth of its size, in two minutes or so; its agent has not learnt anything
 # make test    set up, then all tests
 # make test-browser    set up with Chromium, then the tests that look at the viewer in it
-# make paper   set up, then the paper's experiments (hours); ends in the tables of rl/README.md
+# make paper   set up, then the paper's experiments (hours); ends in the tables of docs/results/paper.md
 # make docs    set up, then the documentation as a site; ends in site/index.html
 # Other verbs: setup, format, check, build, clean. Set-up is done once, and again when pyproject.toml changes.
 

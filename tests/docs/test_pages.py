@@ -11,6 +11,7 @@ from code_blocks import ROOT, SHELL, Block, blocks, pages
 from not_run import LINES, LISTINGS, TEXTS
 from world import SMALLER, commands_of
 
+from tools.page_tables import write_tables
 from tools.record import choices
 
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
@@ -106,6 +107,17 @@ def test_what_pages_import_from_the_package_is_in_the_api_reference() -> None:
                 imported |= {(node.module, alias.name) for alias in node.names}
     assert len(imported) > 8
     assert {f"{module}.{name}" for module, name in imported if not {module, f"{module}.{name}"} & described} == set()
+
+
+def test_a_table_takes_its_place_in_a_page_and_is_refused_where_it_has_none(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- table: a -->\nold\n<!-- end -->\n<!-- table: b -->\nkept\n<!-- end -->\n")
+    write_tables(page, {"a": "| new |"})
+    text = "before\n<!-- table: a -->\n| new |\n<!-- end -->\n<!-- table: b -->\nkept\n<!-- end -->\n"
+    assert page.read_text() == text
+    with pytest.raises(ValueError, match=r"page.md has no marker for the tables \['c'\]"):
+        write_tables(page, {"b": "| other |", "c": "| lost |"})
+    assert page.read_text() == text, "all or nothing"
 
 
 def test_the_tables_of_choices_hold_what_the_result_files_say() -> None:

@@ -1,4 +1,4 @@
-"""Pretrain by several recipes for the same time: rays, memory, pictures and probes; a result file and a README's table.
+"""Pretrain by several recipes for the same time: rays, memory, pictures and probes; a result file and a page's table.
 
 Run from a checkout's root, on a dataset of 64 x 64 pixels:
 
@@ -16,7 +16,6 @@ from typing import Any
 
 from nerf_rl.arguments.parsing import parse_config
 from nerf_rl.datasets.storage.reader import MultiViewDataset
-from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.files.versions import git_revision, package_versions
@@ -24,7 +23,7 @@ from nerf_rl.pretrain.config import PretrainConfig
 from tools.compare.pairs import ENDLESS
 from tools.compare.precision import processor
 from tools.compare.tasks import command
-from tools.readme_tables import markdown_table, probe_errors, replace_tables
+from tools.page_tables import markdown_table, probe_errors, write_tables
 
 RESULT, README = Path("pretrain/results/speed.json"), Path("pretrain/README.md")
 
@@ -51,7 +50,7 @@ def main() -> None:
     for recipe in arguments.recipes:
         runs.append(run(recipe, arguments))
         write_json(RESULT, {**head, "runs": runs})
-    write_text(README, replace_tables(README.read_text(), {"speed": table(runs)}))
+    write_tables(README, {"speed": table(runs)})
 
 
 def run(recipe: str, arguments: argparse.Namespace) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Measure the learner of train-rl alone beside CleanRL's DDPG: updates per second, on one thread, taking turns.
 
 Run from a checkout's root (extra sb3, whose replay memory CleanRL uses), with nothing else running or something that
-runs all the time; it writes rl/results/learner.json and the table in rl/README.md, in a few minutes:
+runs all the time; it writes rl/results/learner.json and the table in docs/results/agents.md, in a few minutes:
 
     .venv/bin/python -m tools.bench.rl
 
@@ -30,7 +30,6 @@ from torch.nn import functional
 from torch.utils.flop_counter import FlopCounterMode
 
 from nerf_rl.arguments.parsing import parse_config
-from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import write_json
 from nerf_rl.files.versions import git_revision, package_versions
 from nerf_rl.rl.agents.ddpg import DDPG
@@ -38,9 +37,9 @@ from nerf_rl.rl.config import LearnerConfig, NetworkConfig, ReplayConfig, TrainR
 from nerf_rl.rl.experience.n_step import Transition
 from nerf_rl.rl.experience.replay import Replay
 from tools.compare.precision import processor
-from tools.readme_tables import markdown_table, replace_tables
+from tools.page_tables import AGENTS_PAGE, markdown_table, write_tables
 
-RESULT, README, RECIPE = Path("rl/results/learner.json"), Path("rl/README.md"), "rl/demo.yaml"
+RESULT, RECIPE = Path("rl/results/learner.json"), "rl/demo.yaml"
 STATE, LATENTS, ACTION = 39, 128 + 4, 4  # numbers that an agent of drawer-open observes, and that it answers
 TRANSITIONS = 5_000
 CLEANRL, SAME, OURS = "CleanRL's DDPG", "ours, CleanRL's sizes", "ours, the recipe"
@@ -109,7 +108,7 @@ def main() -> None:
         "rows": rows,
     }
     write_json(RESULT, result)
-    write_text(README, replace_tables(README.read_text(), {"learner": table(rows)}))
+    write_tables(AGENTS_PAGE, {"learner": table(rows)})
     print(table(rows))
 
 

@@ -13,12 +13,11 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.files.versions import git_revision, package_versions
 from nerf_rl.scenes.base import GYM, METAWORLD
-from tools.readme_tables import markdown_table, replace_tables
+from tools.page_tables import markdown_table, write_tables
 
 OTHERS = [
     "datasets/scenes/blocks.xml",
@@ -63,8 +62,7 @@ def main() -> None:
                 "scenes": results,
             },
         )
-        readme = Path("datasets/README.md")
-        write_text(readme, replace_tables(readme.read_text(), {"scenes": table(results)}))
+        write_tables(Path("datasets/README.md"), {"scenes": table(results)})
     sys.exit(1 if failed else 0)
 
 

@@ -1,6 +1,6 @@
 """Measure the Whale Optimisation Algorithm on F1 to F10, as published and with the minimum moved.
 
-Run from a checkout's root; it writes rl/results/whale_functions.json and the table in rl/README.md (a few minutes):
+Run from a checkout's root; it writes rl/results/whale_functions.json and the table in docs/results/paper.md in minutes:
 
     .venv/bin/python -m tools.bench.whale
 """
@@ -12,12 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import write_json
 from nerf_rl.files.versions import git_revision, package_versions
 from nerf_rl.tuning.whale import MODES, minimise
 from tools.bench.classical_functions import CLASSICAL, Classical
-from tools.readme_tables import markdown_table, replace_tables
+from tools.page_tables import PAPER_PAGE, markdown_table, write_tables
 
 DIMENSIONS, POPULATION, ITERATIONS = 30, 30, 500
 SHIFT = 0.4
@@ -55,8 +54,7 @@ def main() -> None:
         "functions": functions,
     }
     write_json(Path("rl/results/whale_functions.json"), result)
-    readme = Path("rl/README.md")
-    write_text(readme, replace_tables(readme.read_text(), {"whale-functions": table(functions)}))
+    write_tables(PAPER_PAGE, {"whale-functions": table(functions)})
 
 
 def measure(function: Classical, mode: str, seeds: range) -> dict:

@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import PROVENANCE, SUMMARY
 from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION
@@ -27,9 +26,9 @@ from nerf_rl.rl.sweeps.runs import GOOD, read_run, run_folder
 from nerf_rl.rl.sweeps.seed_list import parse_seeds
 from nerf_rl.rl.training.evaluation_results import SUCCESS
 from tools.compare.precision import processor
-from tools.readme_tables import markdown_table, replace_tables, task_name
+from tools.page_tables import AGENTS_PAGE, markdown_table, task_name, write_tables
 
-RESULT, README, RECIPE = Path("rl/results/ablation.json"), Path("rl/README.md"), "rl/demo.yaml"
+RESULT, RECIPE = Path("rl/results/ablation.json"), "rl/demo.yaml"
 LATENTS, STATE = "latents and motion", "state with changes"
 """what agents see by, unless it is called otherwise"""
 ON_THE_WAY, EPISODES = 30_000, 50
@@ -149,7 +148,7 @@ def record(scene: str, eyes: str, env_steps: int, arm: str, keys: list[str], run
     )
     command = f"python -m tools.compare.agents; {RECIPE}, unless keys name another, {' '.join(KEYS)}"
     write_json(RESULT, {"command": command, "arms": arms})
-    write_text(README, replace_tables(README.read_text(), {"agents": table(arms)}))
+    write_tables(AGENTS_PAGE, {"agents": table(arms)})
 
 
 def place(arm: str) -> int:

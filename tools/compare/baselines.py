@@ -14,16 +14,15 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.rl.sweeps.runs import GOOD, run_folder
 from nerf_rl.rl.sweeps.seed_list import parse_seeds
 from nerf_rl.rl.training.evaluation_results import SUCCESS
 from tools.compare.agents import joined, row, train
 from tools.compare.precision import processor
-from tools.readme_tables import markdown_table, replace_tables
+from tools.page_tables import AGENTS_PAGE, markdown_table, write_tables
 
-RESULT, README = Path("rl/results/baselines.json"), Path("rl/README.md")
+RESULT = Path("rl/results/baselines.json")
 SB3 = ["--config", "rl/drawer-open-sb3.yaml"]
 SB3_RATE = ["--learner.critic_rate", "1e-3"]  # its default for DDPG and TD3
 AGENTS = {
@@ -56,7 +55,7 @@ def main() -> None:
         agents = joined(known, what, {"keys": AGENTS[agent], "processor": processor(), **versions}, runs)
         agents.sort(key=lambda each: (each["env_steps"], list(AGENTS).index(each["agent"])))
         write_json(RESULT, {"command": f"python -m tools.compare.baselines; {' '.join(KEYS)}", "agents": agents})
-        write_text(README, replace_tables(README.read_text(), {"baselines": table(agents)}))
+        write_tables(AGENTS_PAGE, {"baselines": table(agents)})
 
 
 def table(agents: list[dict[str, Any]]) -> str:

@@ -12,10 +12,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json
 from tools.compare.frames import both
-from tools.readme_tables import markdown_table, replace_tables
+from tools.page_tables import markdown_table, write_tables
 
 FEWER, MORE = Path("datasets/results/fewer_episodes.json"), Path("pretrain/results/tasks_without_landmarks.json")
 PAGE = Path("docs/choosing.md")
@@ -24,7 +23,7 @@ PAGE = Path("docs/choosing.md")
 def main() -> None:
     """Write the page's table."""
     rounds = [{(row["task"], row["seed"]): row for row in read_json(file)["runs"]} for file in (FEWER, MORE)]
-    write_text(PAGE, replace_tables(PAGE.read_text(), {"choosing-episodes": table(*rounds)}))
+    write_tables(PAGE, {"choosing-episodes": table(*rounds)})
 
 
 def table(fewer: Mapping[tuple[str, int], Any], more: Mapping[tuple[str, int], Any]) -> str:

@@ -18,7 +18,6 @@ import numpy as np
 from numpy import ndarray
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
-from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.pretrain.measures.linear_probe import encode_frames, linear_probe
@@ -26,7 +25,7 @@ from nerf_rl.pretrain.measures.probe_targets import LEAST_DEVIATION, column_targ
 from nerf_rl.pretrain.model.encoder import Encoder
 from tools.compare.pairs import ENDLESS
 from tools.compare.tasks import DATASET_RECIPE, RECIPE, command, made_by
-from tools.readme_tables import markdown_table, replace_tables
+from tools.page_tables import markdown_table, write_tables
 
 PAGE = Path("docs/choosing.md")
 OBJECTIVE = "pretrain/objectives/anchors.yaml"
@@ -154,7 +153,7 @@ def add(row: dict[str, Any], about: str, file: Path) -> None:
     words = f"python -m tools.compare.frames TASKS --about {about} --seeds SEEDS --minutes MINUTES --threads THREADS"
     write_json(file, {"command": words, "recipes": [DATASET_RECIPE, RECIPE, OBJECTIVE], "runs": rows})
     if file == comparison.result:
-        write_text(PAGE, replace_tables(PAGE.read_text(), {comparison.table: table(rows, comparison)}))
+        write_tables(PAGE, {comparison.table: table(rows, comparison)})
 
 
 def table(rows: list[dict[str, Any]], comparison: Comparison) -> str:

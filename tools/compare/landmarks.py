@@ -12,15 +12,14 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.versions import git_revision, package_versions
 from tools.compare.pairs import RECIPE, train_pair
 from tools.compare.precision import processor
 from tools.compare.tasks import things
-from tools.readme_tables import markdown_table, probe_errors, replace_tables
+from tools.page_tables import ENCODERS_PAGE, markdown_table, probe_errors, write_tables
 
-RESULT, README = Path("pretrain/results/landmarks.json"), Path("pretrain/README.md")
+RESULT = Path("pretrain/results/landmarks.json")
 ARMS = {"without": ["--encoder.landmarks", "false"], "with": ["--encoder.landmarks", "true"]}
 COMMAND = "python -m tools.compare.landmarks DATASETS --minutes MINUTES --seeds SEEDS"
 
@@ -43,7 +42,7 @@ def main() -> None:
             others = [row for row in known if (row["scene"], row["seed"]) != (own[0]["scene"], seed)]
             rows = sorted([*others, *own], key=lambda row: (row["scene"], row["seed"], list(ARMS).index(row["arm"])))
             write_json(RESULT, {"command": COMMAND, "recipe": RECIPE, "runs": rows})
-            write_text(README, replace_tables(README.read_text(), {"landmarks": table(rows)}))
+            write_tables(ENCODERS_PAGE, {"landmarks": table(rows)})
 
 
 def table(rows: list[dict[str, Any]]) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from nerf_rl.files.atomic import atomic_write, write_text
+from nerf_rl.files.atomic import atomic_write
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.rl.sweeps.aggregates import stratified_interval
@@ -24,9 +24,9 @@ from nerf_rl.rl.training.evaluation_results import SUCCESS
 from tools.compare.agents import EPISODES, KEYS, joined, train, training_episodes
 from tools.compare.agents import RECIPE as AGENT
 from tools.compare.agents import row as figures_of
-from tools.compare.objectives import ORDER, README, WHOLE
+from tools.compare.objectives import ORDER, WHOLE
 from tools.compare.precision import processor
-from tools.readme_tables import markdown_table, replace_tables, task_name
+from tools.page_tables import ENCODERS_PAGE, markdown_table, task_name, write_tables
 
 RESULT, FIGURE = Path("pretrain/results/objective_agents.json"), Path("pretrain/results/objective_agents.png")
 BLIND, STATE = "blind", "true state"
@@ -78,7 +78,7 @@ def record(scene: str, env_steps: int, objective: str, runs: list[dict[str, Any]
     agents.sort(key=lambda each: (each["scene"], each["env_steps"], ARMS.index(each["objective"])))
     command = f"python -m tools.compare.objective_agents ENCODERS; {AGENT} with {' '.join(KEYS)}"
     write_json(RESULT, {"command": command, "span": SPAN, "agents": agents})
-    write_text(README, replace_tables(README.read_text(), {"objective-agents": table(agents)}))
+    write_tables(ENCODERS_PAGE, {"objective-agents": table(agents)})
     draw(agents)
 
 

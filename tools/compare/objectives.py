@@ -1,4 +1,4 @@
-"""Pretrain by every objective, for the same time and on the same frames: a result file and a README's table.
+"""Pretrain by every objective, for the same time and on the same frames: a result file and a page's table.
 
 Run from a checkout's root, on datasets of 64 x 64 pixels; what is finished is not done again:
 
@@ -12,15 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
-from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
 from tools.compare.pairs import ENDLESS, RECIPE
 from tools.compare.tasks import command, made_by
-from tools.readme_tables import markdown_table, probe_errors, replace_tables, task_name
+from tools.page_tables import ENCODERS_PAGE, markdown_table, probe_errors, task_name, write_tables
 from tools.record import choices
 
-RESULT, README = Path("pretrain/results/objectives.json"), Path("pretrain/README.md")
+RESULT = Path("pretrain/results/objectives.json")
 FOLDER, WHOLE = Path("pretrain/objectives"), "field"
 TOLD_BY_RANDOM = "joint_probe_random_encoder"
 """of a summary, what the row of the untrained encoder tells once"""
@@ -60,7 +59,7 @@ def run(data: Path, objective: str, seed: int, arguments: argparse.Namespace) ->
 
 
 def add(row: dict[str, Any], file: Path) -> None:
-    """Write a row into the result file, in place of one of the same run, and the README's table."""
+    """Write a row into the result file, in place of one of the same run, and the page's table."""
     what = ("scene", "seed", "minutes", "objective")
     known = read_json(file)["runs"] if file.exists() else []
     rows = [*(other for other in known if [other[key] for key in what] != [row[key] for key in what]), row]
@@ -68,7 +67,7 @@ def add(row: dict[str, Any], file: Path) -> None:
     words = "python -m tools.compare.objectives DATASETS --seeds SEEDS --minutes MINUTES --threads THREADS"
     write_json(file, {"command": words, "recipes": [RECIPE, str(FOLDER)], "runs": rows})
     if file == RESULT:
-        write_text(README, replace_tables(README.read_text(), {"objectives": table(rows)}))
+        write_tables(ENCODERS_PAGE, {"objectives": table(rows)})
         choices.main()
 
 

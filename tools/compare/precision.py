@@ -1,4 +1,4 @@
-"""Compare whole pretraining runs in float32 and bfloat16 at equal wall time: a result file and a README's table.
+"""Compare whole pretraining runs in float32 and bfloat16 at equal wall time: a result file and a page's table.
 
 Run from a checkout's root, with nothing else running:
 
@@ -14,11 +14,10 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.versions import git_revision, package_versions
 from tools.compare.pairs import RECIPE, train_pair
-from tools.readme_tables import markdown_table, probe_errors, replace_tables
+from tools.page_tables import markdown_table, probe_errors, write_tables
 
 RESULT, README = Path("pretrain/results/precision.json"), Path("pretrain/README.md")
 PRECISIONS = ("32", "bf16")
@@ -46,7 +45,7 @@ def main() -> None:
             runs += pair(data, seed, arguments.minutes)
             machines = [*others, {**own, "runs": runs}]
             write_json(RESULT, {"command": COMMAND, "recipe": RECIPE, "machines": machines})
-            write_text(README, replace_tables(README.read_text(), {"precision": table(machines)}))
+            write_tables(README, {"precision": table(machines)})
 
 
 def pair(data: Path, seed: int, minutes: float) -> list[dict[str, Any]]:

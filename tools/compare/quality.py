@@ -14,16 +14,15 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.files.versions import git_revision, package_versions
 from tools.compare.pairs import RECIPE, train_pair
 from tools.compare.precision import processor
 from tools.compare.tasks import things
-from tools.readme_tables import markdown_table, probe_errors, replace_tables, task_name
+from tools.page_tables import ENCODERS_PAGE, markdown_table, probe_errors, task_name, write_tables
 
-RESULT, README = Path("pretrain/results/quality.json"), Path("pretrain/README.md")
+RESULT = Path("pretrain/results/quality.json")
 ARMS = ("fast", "smooth")
 COMMAND = "python -m tools.compare.quality SCENES --recipe RECIPE --minutes MINUTES --seed SEED"
 
@@ -50,7 +49,7 @@ def main() -> None:
         others = [row for row in known if (row["scene"], row["seed"]) != (scene, arguments.seed)]
         rows = sorted([*others, *own], key=lambda row: (row["scene"], row["seed"], ARMS.index(row["arm"])))
         write_json(RESULT, {"command": COMMAND, "recipe": RECIPE, "runs": rows})
-        write_text(README, replace_tables(README.read_text(), {"quality": table(rows)}))
+        write_tables(ENCODERS_PAGE, {"quality": table(rows)})
 
 
 def rendered(scene: str, recipe: str, seed: int, quality: str, out: Path) -> float:

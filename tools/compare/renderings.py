@@ -1,4 +1,4 @@
-"""Measure what finished radiance fields render, by one revision or another: a result file and a README's table.
+"""Measure what finished radiance fields render, by one revision or another: a result file and a page's table.
 
 Run from a checkout's root, with finished runs of pretrain whose datasets are still there; rows of other names stay:
 
@@ -17,7 +17,6 @@ import torch
 import yaml
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
-from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.files.versions import git_revision, package_versions
@@ -28,10 +27,10 @@ from nerf_rl.pretrain.model.field import RadianceField
 from nerf_rl.pretrain.model.ray_rendering import render_images
 from tools.compare.precision import processor
 from tools.compare.tasks import things
-from tools.readme_tables import markdown_table, probe_errors, replace_tables, task_name
+from tools.page_tables import ENCODERS_PAGE, markdown_table, probe_errors, task_name, write_tables
 from tools.record.full_size import ROLES as OTHER_ROLES
 
-RESULT, README = Path("pretrain/results/renderings.json"), Path("pretrain/README.md")
+RESULT = Path("pretrain/results/renderings.json")
 COMMAND = "python -m tools.compare.renderings NAME RUNS --frames FRAMES --stratified STRATIFIED"
 ROLES = {"encoder": "the encoder's cameras", **OTHER_ROLES}
 MOST_OTHER_VIEWS = 2  # of a role, as in validation
@@ -51,7 +50,7 @@ def main() -> None:
         keys = {key(row) for row in own}
         rows = sorted([*own, *(row for row in known if key(row) not in keys)], key=key)
         write_json(RESULT, {"command": COMMAND, "rows": rows})
-        write_text(README, replace_tables(README.read_text(), {"renderings": table(rows)}))
+        write_tables(ENCODERS_PAGE, {"renderings": table(rows)})
 
 
 def measure(run: Path, arguments: argparse.Namespace) -> list[dict[str, Any]]:

@@ -1,7 +1,7 @@
 """Compare the samplers of `nerf-rl tune` on rl/paper/tune.yaml, and what they find with the paper's values.
 
 Run from a checkout's root; what is finished is skipped. It writes rl/results/tuning.json and tuning.png, and the table
-in rl/README.md:
+in docs/results/paper.md:
 
     .venv/bin/python -m tools.compare.samplers --jobs 2
 
@@ -23,11 +23,11 @@ from typing import Any
 import yaml
 from matplotlib.figure import Figure
 
-from nerf_rl.files.atomic import atomic_write, write_text
+from nerf_rl.files.atomic import atomic_write
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import PROVENANCE, SUMMARY
 from nerf_rl.tuning.results import TRIALS
-from tools.readme_tables import markdown_table, replace_tables
+from tools.page_tables import PAPER_PAGE, markdown_table, write_tables
 
 RECIPE = Path("rl/paper/tune.yaml")
 RUNS = Path("runs/paper/tuning")
@@ -133,8 +133,7 @@ def record(candidates: dict[tuple[str, int], dict[str, Any]]) -> None:
     content = {"recipe": str(RECIPE), "test_seeds": list(TEST_SEEDS), "test_episodes": TEST_EPISODES}
     write_json(RESULTS / "tuning.json", {**content, "entries": entries})
     draw(RESULTS / "tuning.png")
-    readme = Path("rl/README.md")
-    write_text(readme, replace_tables(readme.read_text(encoding="utf-8"), {"tuning": table(entries)}))
+    write_tables(PAPER_PAGE, {"tuning": table(entries)})
 
 
 def draw(path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Take environments of Gymnasium from simulator to policy: a result file and a README's table.
+"""Take environments of Gymnasium from simulator to policy: a result file and a page's table.
 
 Run from a checkout's root; what is finished is not done again:
 
@@ -21,7 +21,6 @@ import numpy as np
 import yaml
 from numpy import ndarray
 
-from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.files.versions import git_revision, package_versions
@@ -29,9 +28,9 @@ from nerf_rl.rl.environments.make import EnvSpec, make_vector_env
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes
 from nerf_rl.rl.training.evaluation_results import SUCCESS
 from tools.compare.precision import processor
-from tools.readme_tables import markdown_table, replace_tables
+from tools.page_tables import AGENTS_PAGE, markdown_table, write_tables
 
-RESULT, README = Path("rl/results/scenes.json"), Path("rl/README.md")
+RESULT = Path("rl/results/scenes.json")
 DATASET_RECIPE, ENCODER_RECIPE, AGENT_RECIPE = "datasets/gym.yaml", "pretrain/demo.yaml", "rl/gym.yaml"
 ENCODER_STEPS = "2000"
 STATE, LATENTS, BLIND = "state", "latents", "blind"
@@ -58,7 +57,7 @@ def main() -> None:
         command = "python -m tools.compare.scenes SCENES --recipe RECIPE --agents AGENTS --seeds SEEDS"
         write_json(RESULT, {"command": command, "recipes": [DATASET_RECIPE, ENCODER_RECIPE], "scenes": rows})
         tables = {"scenes": agents_table(rows), "scene-probes": probes_table(rows)}
-        write_text(README, replace_tables(README.read_text(), tables))
+        write_tables(AGENTS_PAGE, tables)
 
 
 def run(scene: str, arguments: argparse.Namespace) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Pretrain with the demo's recipes on several Meta-World tasks: a result file and a README's table.
+"""Pretrain with the demo's recipes on several Meta-World tasks: a result file and a page's table.
 
 Run from a checkout's root; what is finished is not done again:
 
@@ -14,7 +14,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.files.versions import git_revision, package_versions
@@ -22,9 +21,9 @@ from nerf_rl.pretrain.model.encoder_file import read_description
 from nerf_rl.pretrain.model.field_description import DESCRIPTION
 from tools.compare.pairs import ENDLESS
 from tools.compare.precision import processor
-from tools.readme_tables import markdown_table, replace_tables
+from tools.page_tables import ENCODERS_PAGE, markdown_table, write_tables
 
-RESULT, README = Path("pretrain/results/tasks.json"), Path("pretrain/README.md")
+RESULT = Path("pretrain/results/tasks.json")
 DATASET_RECIPE, RECIPE = "datasets/demo.yaml", "pretrain/demo.yaml"
 CEILING_STEPS = "1000"
 
@@ -48,7 +47,7 @@ def main() -> None:
             command = "python -m tools.compare.tasks TASKS --seeds SEEDS --minutes MINUTES --threads THREADS"
             write_json(arguments.table, {"command": command, "recipes": [DATASET_RECIPE, RECIPE], "runs": rows})
             if arguments.table == RESULT:
-                write_text(README, replace_tables(README.read_text(), {"tasks": table(rows)}))
+                write_tables(ENCODERS_PAGE, {"tasks": table(rows)})
 
 
 def run(task: str, seed: int, arguments: argparse.Namespace) -> dict[str, Any]:

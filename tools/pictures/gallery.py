@@ -16,13 +16,13 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from nerf_rl.cameras.geometry import intrinsics_from_fovy, look_at
-from nerf_rl.files.atomic import atomic_write, write_text
+from nerf_rl.files.atomic import atomic_write
 from nerf_rl.pictures.images import tile
 from nerf_rl.rendering.renderer import MultiViewRenderer
 from nerf_rl.scenes.base import METAWORLD, Scene
 from nerf_rl.scenes.make import make_scene
 from tools.bench.scenes import metaworld_tasks
-from tools.readme_tables import replace_tables
+from tools.page_tables import write_tables
 
 PAGE, SHEETS = Path("docs/gallery.md"), "docs/pictures/gallery_{}.jpg"
 COLUMNS, ROWS = 5, 2
@@ -50,7 +50,7 @@ def main() -> None:
         shown = tasks[first : first + COLUMNS * ROWS]
         write_sheet(Path(SHEETS.format(number)), shown)
         lists[f"gallery-{number}"] = ", ".join(f"`{task}`" for task in shown)
-    write_text(PAGE, replace_tables(PAGE.read_text(), lists))
+    write_tables(PAGE, lists)
 
 
 def write_sheet(path: Path, tasks: Sequence[str]) -> None:

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json
-from tools.readme_tables import markdown_table, replace_tables, task_name
+from tools.page_tables import markdown_table, task_name, write_tables
 
 PAGE = Path(__file__).parents[2] / "docs" / "choosing.md"
 ROOT = PAGE.parents[1]
@@ -22,7 +21,7 @@ _CAMERAS = {"validation": "the encoder's", "supervision": "random poses", "test"
 
 def main() -> None:
     """Rewrite the page's tables."""
-    write_text(PAGE, replace_tables(PAGE.read_text(), tables()))
+    write_tables(PAGE, tables())
 
 
 def tables() -> dict[str, str]:

@@ -7,9 +7,8 @@ Run from a checkout's root:
 
 from pathlib import Path
 
-from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json
-from tools.readme_tables import markdown_table, replace_tables
+from tools.page_tables import markdown_table, write_tables
 from tools.record import choices
 
 RESULTS, README = Path("datasets/results"), Path("datasets/README.md")
@@ -23,7 +22,7 @@ def main() -> None:
         "reading": reading_table(read_json(RESULTS / "reading.json")),
         "view": view_table(read_json(RESULTS / "view.json")),
     }
-    write_text(README, replace_tables(README.read_text(), tables))
+    write_tables(README, tables)
     choices.main()
 
 

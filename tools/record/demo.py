@@ -18,7 +18,7 @@ from nerf_rl.files.outputs import PROVENANCE, SUMMARY
 from nerf_rl.pretrain.measures.figures import NETWORK, describe_error, describe_iou, describe_validation
 from nerf_rl.report.contact_sheet import contact_sheet
 from nerf_rl.rl.training.curves import draw_learning_curve
-from tools.readme_tables import markdown_table, replace_tables
+from tools.page_tables import markdown_table, replace_tables
 from tools.record import choices
 
 STAGES = {

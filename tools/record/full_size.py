@@ -1,4 +1,4 @@
-"""Record runs of the full-size recipe: a result file and a README's table.
+"""Record runs of the full-size recipe: a result file and a page's table.
 
 Run from a checkout's root, with finished runs on one dataset, the longest last:
 
@@ -9,14 +9,13 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import write_json
 from nerf_rl.pretrain.model.encoder_file import read_description
 from tools.compare.precision import processor
-from tools.readme_tables import markdown_table, probe_errors, replace_tables
+from tools.page_tables import ENCODERS_PAGE, markdown_table, probe_errors, write_tables
 from tools.record.demo import read_result
 
-RESULT, README = Path("pretrain/results/full_size.json"), Path("pretrain/README.md")
+RESULT = Path("pretrain/results/full_size.json")
 ROLES = {"test": "a camera that the run never saw", "supervision": "random poses"}
 
 
@@ -29,7 +28,7 @@ def main() -> None:
         for run in parser.parse_args().runs
     ]
     write_json(RESULT, {"processor": processor(), "runs": runs})
-    write_text(README, replace_tables(README.read_text(), {"full-size": table(runs)}))
+    write_tables(ENCODERS_PAGE, {"full-size": table(runs)})
 
 
 def table(runs: list[dict[str, Any]]) -> str:

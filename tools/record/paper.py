@@ -1,4 +1,4 @@
-"""Record the experiments of rl/paper/experiments.yaml: result file, figures and the table of rl/README.md.
+"""Record the experiments of rl/paper/experiments.yaml: result file, figures and the tables of docs/results/paper.md.
 
 Run from a checkout's root after `make paper`, or during it for what is finished:
 
@@ -14,16 +14,15 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from nerf_rl.files.atomic import atomic_write, write_text
+from nerf_rl.files.atomic import atomic_write
 from nerf_rl.files.json_files import write_json
 from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.metrics import wilson_interval
-from tools.readme_tables import markdown_table, replace_tables
+from tools.page_tables import PAPER_PAGE, markdown_table, write_tables
 from tools.record.demo import read_result
 from tools.record.run_paper import Run, read_experiments, runs_of
 
 RESULTS = Path("rl/results")
-README = Path("rl/README.md")
 FIGURES = {
     "success": "success rate of evaluations",
     "episode_return": "return of training episodes",
@@ -55,7 +54,7 @@ def main() -> None:
             draw(RESULTS / f"paper_{group}.png", {n: finished[n] for n in names}, experiments)
         rows = [row(experiments[name], results[name]) for name in names]
         tables[f"paper-{group}"] = markdown_table(HEADER, rows)
-    write_text(README, replace_tables(README.read_text(), tables))
+    write_tables(PAPER_PAGE, tables)
 
 
 HEADER = (

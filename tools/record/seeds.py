@@ -1,4 +1,4 @@
-"""Record one recipe's runs over several seeds: a result file and a README's table.
+"""Record one recipe's runs over several seeds: a result file and a page's table.
 
 Run from a checkout's root, with encoders or with agents; a sweep of train-rl stands for all its runs:
 
@@ -12,13 +12,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import PROVENANCE
 from nerf_rl.rl.sweeps.runs import read_run
 from nerf_rl.rl.sweeps.summary import summarise
 from nerf_rl.rl.sweeps.table import describe_summary, seeds_table
-from tools.readme_tables import markdown_table, replace_tables
+from tools.page_tables import AGENTS_PAGE, ENCODERS_PAGE, markdown_table, write_tables
 from tools.record.demo import read_result
 
 
@@ -33,8 +32,7 @@ def main() -> None:
     folder, record = ("rl", record_agents) if commands == {"train-rl"} else ("pretrain", record_encoders)
     results, table = record(folders)
     write_json(Path(folder) / "results" / "demo_seeds.json", results)
-    readme = Path(folder) / "README.md"
-    write_text(readme, replace_tables(readme.read_text(), {f"{folder}-seeds": table}))
+    write_tables({"rl": AGENTS_PAGE, "pretrain": ENCODERS_PAGE}[folder], {f"{folder}-seeds": table})
 
 
 def runs_of(folder: Path) -> Iterator[Path]:

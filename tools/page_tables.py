@@ -1,7 +1,13 @@
-"""Tables in READMEs and pages, between markers that name them."""
+"""Tables in pages of the documentation, between markers that name them."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from nerf_rl.files.atomic import write_text
+
+ENCODERS_PAGE, AGENTS_PAGE, PAPER_PAGE = (Path(f"docs/results/{name}.md") for name in ("encoders", "agents", "paper"))
+"""pages of what was measured"""
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
@@ -10,8 +16,20 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> s
     return "\n".join(lines + [f"| {' | '.join(map(str, row))} |" for row in rows])
 
 
-def replace_tables(text: str, tables: dict[str, str]) -> str:
-    """Return a README's text with the tables between markers replaced; those without a marker are left out."""
+def write_tables(page: Path, tables: Mapping[str, str]) -> None:
+    """Write tables into a page, each between its markers.
+
+    Raises:
+        ValueError: the page has no place for one.
+    """
+    text = page.read_text()
+    if missing := [name for name in tables if f"<!-- table: {name} -->\n" not in text]:
+        raise ValueError(f"{page} has no marker for the tables {missing}")
+    write_text(page, replace_tables(text, tables))
+
+
+def replace_tables(text: str, tables: Mapping[str, str]) -> str:
+    """Return a page's text with the tables between markers replaced; those without a marker are left out."""
     for name, table in tables.items():
         pattern = rf"(<!-- table: {name} -->\n).*?(<!-- end -->)"
         text = re.sub(pattern, lambda match, table=table: f"{match[1]}{table}\n{match[2]}", text, flags=re.DOTALL)
