@@ -43,6 +43,7 @@ OVERTIME = [*STRONG, "--success_overtime", "100"]
 BONUS = [*OVERTIME, "--success_bonus", "20"]
 LANDED = [*BONUS, "--learner.updates_per_step", "1.5"]
 ECHOES = ["--echo_share", "0.8"]
+QUIETER = ["--noise.decay_steps", "10000"]
 TWO_UPDATES = ["--learner.updates_per_step", "2"]
 FASTER_ACTOR = ["--learner.actor_rate", "6e-4", "--learner.tau", "0.02"]
 THE_RECIPE, BLIND = "the recipe", "blind"
@@ -59,6 +60,12 @@ SEEING = {
     "strong self-imitation, curriculum, overtime and bonus": BONUS,
     "strong self-imitation, curriculum, overtime and bonus, 1.5 updates a step": LANDED,
     "strong self-imitation, curriculum, overtime, bonus and early echoes, 1.5 updates a step": [*LANDED, *ECHOES],
+    "strong self-imitation, curriculum, overtime and bonus, 1.5 updates a step, half the noise": [*LANDED, *QUIETER],
+    "strong self-imitation, curriculum, overtime, bonus and early echoes, 1.5 updates a step, half the noise": [
+        *LANDED,
+        *ECHOES,
+        *QUIETER,
+    ],
     "strong self-imitation and curriculum, two updates a step": [*STRONG, *TWO_UPDATES],
     "strong self-imitation and curriculum, two updates of half a batch": [
         *STRONG,
