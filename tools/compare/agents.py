@@ -44,6 +44,7 @@ BONUS = [*OVERTIME, "--success_bonus", "20"]
 LANDED = [*BONUS, "--learner.updates_per_step", "1.5"]
 ECHOES = ["--echo_share", "0.8"]
 QUIETER = ["--noise.decay_steps", "10000"]
+MORE_BONUS = ["--success_bonus", "60"]
 TWO_UPDATES = ["--learner.updates_per_step", "2"]
 FASTER_ACTOR = ["--learner.actor_rate", "6e-4", "--learner.tau", "0.02"]
 THE_RECIPE, BLIND = "the recipe", "blind"
@@ -65,6 +66,12 @@ SEEING = {
         *LANDED,
         *ECHOES,
         *QUIETER,
+    ],
+    "strong self-imitation, curriculum, overtime, triple bonus and early echoes, 1.5 updates a step, half the noise": [
+        *LANDED,
+        *ECHOES,
+        *QUIETER,
+        *MORE_BONUS,
     ],
     "strong self-imitation and curriculum, two updates a step": [*STRONG, *TWO_UPDATES],
     "strong self-imitation and curriculum, two updates of half a batch": [
