@@ -166,7 +166,8 @@ def test_parameters_win_over_overrides_and_these_over_the_recipe(recipe: str) ->
     run = trial_config(config, {"learner.actor_rate": 1e-4, "network.hidden.1": 9, "learner.gamma": 0.5}, "y", seed=1)
     assert (run.out, run.seed, run.envs, run.evaluation_to_end) == ("y", 1, 1, True)
     assert (run.learner.actor_rate, run.learner.gamma, run.learner.tau) == (1e-4, 0.5, 0.5)
-    assert run.network.hidden == [16, 9] and run.noise.decay_steps == 20000
+    shipped = cli.parse("train-rl", ["--config", str(ROOT / "rl/drawer-open.yaml"), "--out", "x"])
+    assert run.network.hidden == [16, 9] and run.noise == shipped.noise != type(shipped.noise)()
     assert start_values(config) == {
         "learner.actor_rate": 3e-4,
         "network.hidden.1": 16,
