@@ -41,7 +41,7 @@ WEAK = ["--learner.imitation_weight", "0.1", *CURRICULUM]
 STRONG = ["--learner.imitation_weight", "0.5", *CURRICULUM]
 OVERTIME = [*STRONG, "--success_overtime", "100"]
 BONUS = [*OVERTIME, "--success_bonus", "20"]
-LANDED = [*BONUS, "--learner.updates_per_step", "1.5"]
+MORE_UPDATES = [*BONUS, "--learner.updates_per_step", "1.5"]
 ECHOES = ["--echo_share", "0.8"]
 QUIETER = ["--noise.decay_steps", "10000"]
 MORE_BONUS = ["--success_bonus", "60"]
@@ -59,16 +59,19 @@ SEEING = {
     "strong self-imitation and curriculum": STRONG,
     "strong self-imitation, curriculum and overtime": OVERTIME,
     "strong self-imitation, curriculum, overtime and bonus": BONUS,
-    "strong self-imitation, curriculum, overtime and bonus, 1.5 updates a step": LANDED,
-    "strong self-imitation, curriculum, overtime, bonus and early echoes, 1.5 updates a step": [*LANDED, *ECHOES],
-    "strong self-imitation, curriculum, overtime and bonus, 1.5 updates a step, half the noise": [*LANDED, *QUIETER],
+    "strong self-imitation, curriculum, overtime and bonus, 1.5 updates a step": MORE_UPDATES,
+    "strong self-imitation, curriculum, overtime, bonus and early echoes, 1.5 updates a step": [*MORE_UPDATES, *ECHOES],
+    "strong self-imitation, curriculum, overtime and bonus, 1.5 updates a step, half the noise": [
+        *MORE_UPDATES,
+        *QUIETER,
+    ],
     "strong self-imitation, curriculum, overtime, bonus and early echoes, 1.5 updates a step, half the noise": [
-        *LANDED,
+        *MORE_UPDATES,
         *ECHOES,
         *QUIETER,
     ],
     "strong self-imitation, curriculum, overtime, triple bonus and early echoes, 1.5 updates a step, half the noise": [
-        *LANDED,
+        *MORE_UPDATES,
         *ECHOES,
         *QUIETER,
         *MORE_BONUS,
