@@ -13,7 +13,7 @@ from nerf_rl.errors import OutputExistsError
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.folder_lock import hold_folder
 from nerf_rl.files.json_files import read_json, write_json
-from nerf_rl.files.versions import git_revision, package_versions
+from nerf_rl.files.versions import git_revision, package_versions, processor
 
 PROVENANCE = "provenance.json"
 SUMMARY = "summary.json"
@@ -98,6 +98,7 @@ def write_provenance(folder: Path, command: str, config: Any) -> None:
             "git_revision": git_revision(),
             "python": sys.version.split()[0],
             "packages": package_versions(),
+            "processor": processor(),
         },
     )
 

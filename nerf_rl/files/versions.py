@@ -1,6 +1,8 @@
-"""Which code a result was made by."""
+"""Which code a result was made by, and on what processor."""
 
 import importlib.metadata
+import os
+import platform
 import subprocess
 from pathlib import Path
 
@@ -31,3 +33,16 @@ def package_versions() -> dict[str, str]:
         except importlib.metadata.PackageNotFoundError:
             continue
     return versions
+
+
+def processor(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
+    """Return the processor's name, how many cores this process may use, and its instructions for bfloat16.
+
+    Args:
+        cpuinfo: what Linux tells of it; elsewhere, and on Arm, its name is its architecture's.
+    """
+    text = cpuinfo.read_text() if cpuinfo.exists() else ""
+    name = text.partition("model name")[2].partition(":")[2].partition("\n")[0].strip() or platform.machine()
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    flags = [flag for flag in ("avx512_bf16", "amx_bf16") if f" {flag}" in text]
+    return f"{name}, {cores} cores ({', '.join(flags) or 'without bfloat16'})"

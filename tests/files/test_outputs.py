@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import platform
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import yaml
 
 from nerf_rl.errors import OutputExistsError
 from nerf_rl.files import outputs
+from nerf_rl.files.versions import processor
 
 
 @dataclasses.dataclass
@@ -141,3 +143,14 @@ def test_provenance_records_config_seed_and_versions(ours: Path):
     assert provenance["command"] == "pretrain"
     assert provenance["seed"] == 7
     assert {"torch", "mujoco", "numpy"} <= provenance["packages"].keys()
+    assert provenance["processor"] == processor()
+
+
+def test_a_processor_has_a_name_and_its_instructions_for_bfloat16(tmp_path: Path):
+    cpuinfo = tmp_path / "cpuinfo"
+    cpuinfo.write_text("model name\t: Some Processor\nflags\t\t: fpu avx512_bf16 sse\nmodel name\t: Some Processor\n")
+    cores = len(os.sched_getaffinity(0))
+    assert processor(cpuinfo) == f"Some Processor, {cores} cores (avx512_bf16)"
+    cpuinfo.write_text("CPU implementer\t: 0x41\n")  # as Arm has it
+    expected = f"{platform.machine()}, {cores} cores (without bfloat16)"
+    assert processor(cpuinfo) == processor(tmp_path / "none") == expected

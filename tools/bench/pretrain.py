@@ -18,10 +18,9 @@ from nerf_rl.arguments.parsing import parse_config
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
-from nerf_rl.files.versions import git_revision, package_versions
+from nerf_rl.files.versions import git_revision, package_versions, processor
 from nerf_rl.pretrain.config import PretrainConfig
 from tools.compare.pairs import ENDLESS
-from tools.compare.precision import processor
 from tools.compare.tasks import command
 from tools.page_tables import markdown_table, probe_errors, write_tables
 

@@ -31,12 +31,11 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from nerf_rl.arguments.parsing import parse_config
 from nerf_rl.files.json_files import write_json
-from nerf_rl.files.versions import git_revision, package_versions
+from nerf_rl.files.versions import git_revision, package_versions, processor
 from nerf_rl.rl.agents.ddpg import DDPG
 from nerf_rl.rl.config import LearnerConfig, NetworkConfig, ReplayConfig, TrainRLConfig
 from nerf_rl.rl.experience.n_step import Transition
 from nerf_rl.rl.experience.replay import Replay
-from tools.compare.precision import processor
 from tools.page_tables import AGENTS_PAGE, markdown_table, write_tables
 
 RESULT, RECIPE = Path("rl/results/learner.json"), "rl/demo.yaml"

@@ -25,7 +25,6 @@ from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION
 from nerf_rl.rl.sweeps.runs import GOOD, read_run, run_folder
 from nerf_rl.rl.sweeps.seed_list import parse_seeds
 from nerf_rl.rl.training.evaluation_results import SUCCESS
-from tools.compare.precision import processor
 from tools.page_tables import AGENTS_PAGE, markdown_table, task_name, write_tables
 
 RESULT, RECIPE = Path("rl/results/ablation.json"), "rl/demo.yaml"
@@ -133,9 +132,9 @@ def train(arguments: list[str]) -> None:
 
 
 def row(run: Path) -> dict[str, Any]:
-    """Return what is told of a run, what it saw by, how many of its last training episodes succeeded, its versions."""
+    """Return what is told of a run, what it saw by, how many of its last training episodes succeeded, what made it."""
     provenance = read_json(run / PROVENANCE)
-    versions = {name: provenance[name] for name in ("git_revision", "packages")}
+    versions = {name: provenance[name] for name in ("git_revision", "packages", "processor")}
     facts = {"encoder": read_json(run / POLICY_DESCRIPTION)["encoder_digest"]}
     return {**read_run(run), **facts, "late_training_success": late_training_success(run), **versions}
 
@@ -159,7 +158,7 @@ def record(scene: str, eyes: str, env_steps: int, arm: str, keys: list[str], run
     """Put runs in place of those of the same seeds, and write file and table."""
     known = read_json(RESULT)["arms"] if RESULT.exists() else []
     what = {"scene": scene, "eyes": eyes, "env_steps": env_steps, "arm": arm}
-    arms = joined(known, what, {"keys": keys, "processor": processor()}, runs)
+    arms = joined(known, what, {"keys": keys}, runs)
     arms.sort(
         key=lambda each: (*(each[name] for name in ("scene", "eyes", "env_steps")), place(each["arm"]), each["arm"])
     )

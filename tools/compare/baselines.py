@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from nerf_rl.files.json_files import read_json, write_json
+from nerf_rl.files.versions import processor
 from nerf_rl.rl.sweeps.runs import GOOD, run_folder
 from nerf_rl.rl.sweeps.seed_list import parse_seeds
 from nerf_rl.rl.training.evaluation_results import SUCCESS
 from tools.compare.agents import joined, row, train
-from tools.compare.precision import processor
 from tools.page_tables import AGENTS_PAGE, markdown_table, write_tables
 
 RESULT = Path("rl/results/baselines.json")

@@ -17,6 +17,7 @@ import numpy as np
 from nerf_rl.files.atomic import atomic_write
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
+from nerf_rl.files.versions import processor
 from nerf_rl.rl.sweeps.aggregates import stratified_interval
 from nerf_rl.rl.sweeps.runs import GOOD, run_folder
 from nerf_rl.rl.sweeps.seed_list import parse_seeds
@@ -25,7 +26,6 @@ from tools.compare.agents import EPISODES, KEYS, joined, train, training_episode
 from tools.compare.agents import RECIPE as AGENT
 from tools.compare.agents import row as figures_of
 from tools.compare.objectives import ORDER, WHOLE
-from tools.compare.precision import processor
 from tools.page_tables import ENCODERS_PAGE, markdown_table, task_name, write_tables
 
 RESULT, FIGURE = Path("pretrain/results/objective_agents.json"), Path("pretrain/results/objective_agents.png")

@@ -9,13 +9,12 @@ the demo's recipe and as many steps as the minutes allow. By this table `auto` c
 """
 
 import argparse
-import os
 import tempfile
 from pathlib import Path
 from typing import Any
 
 from nerf_rl.files.json_files import read_json, write_json
-from nerf_rl.files.versions import git_revision, package_versions
+from nerf_rl.files.versions import git_revision, package_versions, processor
 from tools.compare.pairs import RECIPE, train_pair
 from tools.page_tables import markdown_table, probe_errors, write_tables
 
@@ -66,14 +65,6 @@ def table(machines: list[dict[str, Any]]) -> str:
         what = run["processor"], run["scene"].removeprefix("metaworld/"), run["seed"], run["precision"]
         rows.append([*what, f"{run['steps'] / run['training_seconds']:.1f}", *quality, probe])
     return markdown_table([*header, "probe [mm]"], rows)
-
-
-def processor() -> str:
-    """Return the processor's name, and which instructions for bfloat16 it has."""
-    text = Path("/proc/cpuinfo").read_text()
-    name = text.partition("model name")[2].partition(":")[2].partition("\n")[0].strip()
-    flags = [flag for flag in ("avx512_bf16", "amx_bf16") if f" {flag}" in text]
-    return f"{name}, {len(os.sched_getaffinity(0))} cores ({', '.join(flags) or 'without bfloat16'})"
 
 
 if __name__ == "__main__":

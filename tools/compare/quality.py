@@ -16,9 +16,8 @@ from typing import Any
 
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
-from nerf_rl.files.versions import git_revision, package_versions
+from nerf_rl.files.versions import git_revision, package_versions, processor
 from tools.compare.pairs import RECIPE, train_pair
-from tools.compare.precision import processor
 from tools.compare.tasks import things
 from tools.page_tables import ENCODERS_PAGE, markdown_table, probe_errors, task_name, write_tables
 

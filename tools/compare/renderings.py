@@ -19,13 +19,12 @@ import yaml
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
-from nerf_rl.files.versions import git_revision, package_versions
+from nerf_rl.files.versions import git_revision, package_versions, processor
 from nerf_rl.pretrain.config import SamplingConfig
 from nerf_rl.pretrain.measures.picture_measures import PictureMeasures
 from nerf_rl.pretrain.model.encoder import Encoder
 from nerf_rl.pretrain.model.field import RadianceField
 from nerf_rl.pretrain.model.ray_rendering import render_images
-from tools.compare.precision import processor
 from tools.compare.tasks import things
 from tools.page_tables import ENCODERS_PAGE, markdown_table, probe_errors, task_name, write_tables
 from tools.record.full_size import ROLES as OTHER_ROLES

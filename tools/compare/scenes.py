@@ -23,11 +23,10 @@ from numpy import ndarray
 
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
-from nerf_rl.files.versions import git_revision, package_versions
+from nerf_rl.files.versions import git_revision, package_versions, processor
 from nerf_rl.rl.environments.make import EnvSpec, make_vector_env
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes
 from nerf_rl.rl.training.evaluation_results import SUCCESS
-from tools.compare.precision import processor
 from tools.page_tables import AGENTS_PAGE, markdown_table, write_tables
 
 RESULT = Path("rl/results/scenes.json")

@@ -16,11 +16,10 @@ from typing import Any
 
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
-from nerf_rl.files.versions import git_revision, package_versions
+from nerf_rl.files.versions import git_revision, package_versions, processor
 from nerf_rl.pretrain.model.encoder_file import read_description
 from nerf_rl.pretrain.model.field_description import DESCRIPTION
 from tools.compare.pairs import ENDLESS
-from tools.compare.precision import processor
 from tools.page_tables import ENCODERS_PAGE, markdown_table, write_tables
 
 RESULT = Path("pretrain/results/tasks.json")

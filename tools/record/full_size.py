@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from nerf_rl.files.json_files import write_json
+from nerf_rl.files.versions import processor
 from nerf_rl.pretrain.model.encoder_file import read_description
-from tools.compare.precision import processor
 from tools.page_tables import ENCODERS_PAGE, markdown_table, probe_errors, write_tables
 from tools.record.demo import read_result
 
