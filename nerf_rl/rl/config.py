@@ -70,6 +70,9 @@ class NoiseConfig:
     wait_for_successes: Annotated[int, Limits(least=0, most=LATEST_EPISODES)] = 0
     """let exploration become less only once so many of the last 20 training episodes have succeeded, where the scene
     tells of success; 0 waits for none"""
+    retries: Literal["first", "drawn"] = "first"
+    """standard deviation where a start that failed is tried again (retry_share): first (the first step's) or drawn
+    (anew for each retry, between 0 and that), and never less than that of other episodes"""
     theta: PositiveShare = 0.15
     """ou only: share of the noise that is forgotten in each step"""
     epsilon_z: ShareBelowOne = 0.1
@@ -233,8 +236,8 @@ class TrainRLConfig:
     little of it, as of an open drawer beside a handle that is pressed on; no return that is told has it in it; ddpg
     only"""
     retry_share: ShareBelowOne = 0.0
-    """probability that a training episode begins where one has failed lately, which is tried again once, with as much
-    noise as at the first step; from the first success on, if the scene tells of it, and ddpg only"""
+    """probability that a training episode begins where one has failed lately, which is tried again once, with noise
+    of its own (noise.retries); from the first success on, if the scene tells of it, and ddpg only"""
     echo_share: ShareBelowOne = 0.0
     """probability that such a retry has no more noise than others, and does again, without looking, what succeeded from
     a start that is like its own; as long as successes are rare"""

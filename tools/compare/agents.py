@@ -44,6 +44,7 @@ MORE_UPDATES = [*BONUS, "--learner.updates_per_step", "1.5"]
 ECHOES = ["--echo_share", "0.8"]
 QUIETER = ["--noise.decay_steps", "10000"]
 MORE_BONUS = ["--success_bonus", "60"]
+LITTLE_NOISE = ["--noise.decay_steps", "5000", "--noise.retries", "drawn"]
 TWO_UPDATES = ["--learner.updates_per_step", "2"]
 FASTER_ACTOR = ["--learner.actor_rate", "6e-4", "--learner.tau", "0.02"]
 THE_RECIPE, BLIND = "the recipe", "blind"
@@ -73,6 +74,12 @@ SEEING = {
         *MORE_UPDATES,
         *ECHOES,
         *QUIETER,
+        *MORE_BONUS,
+    ],
+    "strong self-imitation, curriculum, overtime, triple bonus and early echoes, 1.5 updates a step, little noise": [
+        *MORE_UPDATES,
+        *ECHOES,
+        *LITTLE_NOISE,
         *MORE_BONUS,
     ],
     "strong self-imitation and curriculum, two updates a step": [*STRONG, *TWO_UPDATES],

@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy import ndarray
 
 from nerf_rl.rl.config import NoiseConfig
@@ -41,16 +41,15 @@ class Noise:
         """Return the standard deviation after ``env_step`` environment steps."""
         return linear_schedule(self._config.start, self._config.end, self._config.decay_steps, env_step)
 
-    def sample(self, env_step: int, anew: Bool[ndarray, "E"] | bool = False) -> Float[ndarray, "E A"]:
-        """Return the next noise, as large as at the first step where ``anew`` is true."""
+    def sample(self, env_step: int, least: Float[ndarray, "E"] | float = 0.0) -> Float[ndarray, "E A"]:
+        """Return the next noise, of the scheduled standard deviation, or of ``least`` where that is more."""
         if self._config.kind == "pink":
             self._unit = self._pink[np.arange(len(self._pink)), self._step % self._length]
             self._step += 1
         else:
             fresh = self._rng.standard_normal(self._unit.shape)
             self._unit = self._keep * self._unit + math.sqrt(1.0 - self._keep**2) * fresh
-        scale = np.where(anew, self._config.start, self.scale(env_step))
-        return scale.reshape(-1, 1) * self._unit
+        return np.maximum(least, self.scale(env_step)).reshape(-1, 1) * self._unit
 
     def reset(self, env: int) -> None:
         """Forget the past of one environment: its episode is over."""

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy import ndarray
 
 from nerf_rl.files.structure import flag, listing
@@ -36,6 +36,7 @@ class Exploration:
         self._noise = Noise(config.noise, envs, action_size, steps, rng)
         held = (config.noise.epsilon_z_steps, rng, config.noise.epsilon_z_kind)
         self._held = EpsilonZGreedy(envs, action_size, *held)
+        self._least = np.zeros(envs)  # standard deviation of each environment's noise in its episode
         self._lately: deque[bool] = deque(maxlen=LATEST_EPISODES)
         self._since, self._awaits_success = 0, config.noise.wait_for_successes > 0
 
@@ -52,9 +53,19 @@ class Exploration:
         """Return the noise's standard deviation."""
         return self._noise.scale(self.elapsed(env_step))
 
-    def begin_episode(self, env: int, env_step: int) -> None:
-        """Forget the episode before of one environment."""
+    def begin_episode(self, env: int, env_step: int, again: bool = False) -> None:
+        """Forget the episode before of one environment.
+
+        Args:
+            env: which of the environments.
+            env_step: now.
+            again: the episode tries a start again that failed, with noise of its own. From far away all of it finds
+                what little of it does not; but where the policy all but succeeds, all of it destroys what the policy
+                does, and little suffices.
+        """
         self._noise.reset(env)
+        drawn = self._rng.random() if again and self._config.retries == "drawn" else 1.0
+        self._least[env] = drawn * self._config.start if again else 0.0
         self._held.reset(env, self._decayed(self._config.epsilon_z_start, env_step))
 
     def end_episode(self, success: bool | None, env_step: int) -> None:
@@ -72,15 +83,9 @@ class Exploration:
         random = self._rng.uniform(-1.0, 1.0, self._shape).astype(np.float32)
         return self._held.override(random, _HELD_IN_WARM_UP)
 
-    def around(self, action: Float[ndarray, "E A"], env_step: int, anew: Bool[ndarray, "E"]) -> Float[ndarray, "E A"]:
-        """Return actions near the policy's.
-
-        Args:
-            action: the policy's.
-            env_step: now.
-            anew: where noise is to be as large as at first.
-        """
-        noisy = np.clip(action + self._noise.sample(self.elapsed(env_step), anew), -1.0, 1.0)
+    def around(self, action: Float[ndarray, "E A"], env_step: int) -> Float[ndarray, "E A"]:
+        """Return actions near the policy's."""
+        noisy = np.clip(action + self._noise.sample(self.elapsed(env_step), self._least), -1.0, 1.0)
         return self._held.override(noisy.astype(np.float32), self._decayed(self._config.epsilon_z, env_step))
 
     def state_dict(self) -> dict[str, Any]:

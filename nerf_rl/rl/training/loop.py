@@ -250,7 +250,8 @@ class Trainer:
         for env in np.flatnonzero(which).tolist():
             seeds[env] = self._curriculum.begin(env, len(self._echoes))
             self._returns[env], self._success[env], self._length[env] = 0.0, False, 0
-            self._exploration.begin_episode(env, self.env_steps)
+            tries_again = bool(self._curriculum.retried[env] and not self._curriculum.echoed[env])
+            self._exploration.begin_episode(env, self.env_steps, tries_again)
         observation = reset_some(self._envs, which, seeds, self._config.success_overtime)
         for env in np.flatnonzero(which).tolist():
             self._echoes.begin(env, observation[env], bool(self._curriculum.echoed[env]))
@@ -302,8 +303,7 @@ class Trainer:
         """Return random actions in the warm-up, then some around the policy's."""
         if self._acted < self._config.warmup_steps:
             return self._exploration.warm_up()
-        anew = self._curriculum.retried & ~self._curriculum.echoed
-        return self._exploration.around(self.agent.act(observation), self.env_steps, anew)
+        return self._exploration.around(self.agent.act(observation), self.env_steps)
 
     def _learn(self) -> None:
         """Do the updates that the steps so far are worth."""

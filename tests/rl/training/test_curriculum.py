@@ -7,8 +7,6 @@ import pytest
 from gymnasium.vector import AsyncVectorEnv
 from tiny_run import config, train
 
-from nerf_rl.rl.config import NoiseConfig
-from nerf_rl.rl.experience.noise import Noise
 from nerf_rl.rl.training.curriculum import Curriculum
 from nerf_rl.rl.training.episodes import training_seed
 from nerf_rl.rl.training.loop import Trainer
@@ -133,14 +131,6 @@ def test_whole_episodes_are_acted_unless_an_end_is_asked_for() -> None:
         made.end(0, True)
     made.begin(0)
     assert not any(made.step(np.ones(1, bool), np.array([1])).any() for _ in range(1000))
-
-
-def test_only_those_that_try_again_have_the_noise_of_the_first_step() -> None:
-    def noise() -> Noise:
-        return Noise(NoiseConfig(start=1.0, end=0.1, decay_steps=10), 2, 3, 50, np.random.default_rng(0))
-
-    plain, some = noise().sample(10), noise().sample(10, np.array([False, True]))
-    assert np.array_equal(some[0], plain[0]) and some[1] == pytest.approx(10 * plain[1])
 
 
 def trained(trainer: Trainer, until: int) -> np.ndarray:

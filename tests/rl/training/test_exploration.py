@@ -33,6 +33,31 @@ def test_one_success_may_be_luck_and_two_of_the_last_20_episodes_are_not(between
     assert made.scale(last + 500) == pytest.approx(0.5 if enough else 0.75), "what has begun goes on"
 
 
+def retry_noise(retries: str, env_step: int, again: bool) -> np.ndarray:
+    """Standard deviations [50, 2] of the noise in episodes of two environments, the second of which try again."""
+    noise = NoiseConfig(kind="gaussian", start=0.3, end=0.0, decay_steps=1000, retries=retries, epsilon_z=0.0)
+    made = Exploration(TrainRLConfig(out="x", noise=noise), 2, 1000, np.random.default_rng(0))
+    found = []
+    for _ in range(50):
+        for env in range(2):
+            made.begin_episode(env, env_step, again and env == 1)
+            made._held.reset(env)
+        found.append(made.around(np.zeros((2, 1000), np.float32), env_step).std(axis=1))
+    return np.stack(found)
+
+
+@pytest.mark.parametrize("retries", ["first", "drawn"])
+def test_only_retries_have_noise_of_their_own(retries: str) -> None:
+    sizes = retry_noise(retries, 800, again=True)
+    assert sizes[:, 0] == pytest.approx(0.06, rel=0.15), "as scheduled"
+    assert retry_noise(retries, 800, again=False) == pytest.approx(0.06, rel=0.15)
+    if retries == "first":
+        assert sizes[:, 1] == pytest.approx(0.3, rel=0.15), "as at the first step, however late"
+    else:
+        assert sizes[:, 1].min() == pytest.approx(0.06, rel=0.15), "never less than the others"
+        assert 0.25 < sizes[:, 1].max() < 0.33 and 0.12 < np.median(sizes[:, 1]) < 0.21, "anything up to the first"
+
+
 def test_where_the_scene_does_not_tell_there_is_nothing_to_wait_for() -> None:
     made = exploration(2)
     made.end_episode(None, 100)
