@@ -5,13 +5,15 @@ Blind agents stand beside those that see by an encoder: what they reach needs no
 Run from a checkout's root; seeds that are finished are not trained again:
 
     .venv/bin/python -m tools.compare.agents --seeds 20..29
-    .venv/bin/python -m tools.compare.agents --seeds 0..4 --encoder runs/demo/encoder
-    .venv/bin/python -m tools.compare.agents --seeds 0..4 --env_steps 50000
-    .venv/bin/python -m tools.compare.agents --seeds 0..4 --arms "the recipe" --last_weights
+    .venv/bin/python -m tools.compare.agents --seeds 0..4 --encoder runs/demo/encoder --arms "the recipe" blind
+    .venv/bin/python -m tools.compare.agents --seeds 0..4 --env_steps 50000 --arms "curriculum and bonus"
+
+An arm is named by what it does otherwise, joined by commas or "and"; INGREDIENTS holds what there is.
 """
 
 import argparse
 import csv
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -34,70 +36,29 @@ ON_THE_WAY, EPISODES = 30_000, 50
 """environment steps after which longer runs are evaluated, too, and the episodes of every evaluation"""
 KEYS = ["--evaluation_every", str(ON_THE_WAY), "--checkpoint_every", str(ON_THE_WAY)]
 KEYS += ["--evaluation_episodes", str(EPISODES), "--final_evaluation_episodes", str(EPISODES)]
-UNBOUNDED, UNWAITING = ["--learner.bound_by_returns", "false"], ["--noise.wait_for_successes", "0"]
-CURRICULUM = ["--retry_share", "0.5", "--steps_after_success", "20"]
-WEAK = ["--learner.imitation_weight", "0.1", *CURRICULUM]
-STRONG = ["--learner.imitation_weight", "0.5", *CURRICULUM]
-OVERTIME = [*STRONG, "--success_overtime", "100"]
-BONUS = [*OVERTIME, "--success_bonus", "20"]
-MORE_UPDATES = [*BONUS, "--learner.updates_per_step", "1.5"]
-ECHOES = ["--echo_share", "0.8"]
-QUIETER = ["--noise.decay_steps", "10000"]
-MORE_BONUS = ["--success_bonus", "60"]
-LITTLE_NOISE = ["--noise.decay_steps", "5000", "--noise.retries", "drawn"]
-TWO_UPDATES = ["--learner.updates_per_step", "2"]
-FASTER_ACTOR = ["--learner.actor_rate", "6e-4", "--learner.tau", "0.02"]
-THE_RECIPE, BLIND = "the recipe", "blind"
-SEEING = {
-    THE_RECIPE: [],
-    "targets without bounds": UNBOUNDED,
-    "exploration that does not wait": UNWAITING,
-    "neither": [*UNBOUNDED, *UNWAITING],
-    "self-imitation": WEAK[:2],
-    "curriculum": CURRICULUM,
-    "self-imitation and curriculum": WEAK,
-    "strong self-imitation and curriculum": STRONG,
-    "strong self-imitation, curriculum and overtime": OVERTIME,
-    "strong self-imitation, curriculum, overtime and bonus": BONUS,
-    "strong self-imitation, curriculum, overtime and bonus, 1.5 updates a step": MORE_UPDATES,
-    "strong self-imitation, curriculum, overtime, bonus and early echoes, 1.5 updates a step": [*MORE_UPDATES, *ECHOES],
-    "strong self-imitation, curriculum, overtime and bonus, 1.5 updates a step, half the noise": [
-        *MORE_UPDATES,
-        *QUIETER,
-    ],
-    "strong self-imitation, curriculum, overtime, bonus and early echoes, 1.5 updates a step, half the noise": [
-        *MORE_UPDATES,
-        *ECHOES,
-        *QUIETER,
-    ],
-    "strong self-imitation, curriculum, overtime, triple bonus and early echoes, 1.5 updates a step, half the noise": [
-        *MORE_UPDATES,
-        *ECHOES,
-        *QUIETER,
-        *MORE_BONUS,
-    ],
-    "strong self-imitation, curriculum, overtime, triple bonus and early echoes, 1.5 updates a step, little noise": [
-        *MORE_UPDATES,
-        *ECHOES,
-        *LITTLE_NOISE,
-        *MORE_BONUS,
-    ],
-    "strong self-imitation and curriculum, two updates a step": [*STRONG, *TWO_UPDATES],
-    "strong self-imitation and curriculum, two updates of half a batch": [
-        *STRONG,
-        *TWO_UPDATES,
-        *("--learner.batch_size", "64"),
-    ],
-    "strong self-imitation and curriculum, faster actor": [*STRONG, *FASTER_ACTOR],
+INGREDIENTS = {
+    "the recipe": [],
+    "targets without bounds": ["--learner.bound_by_returns", "false"],
+    "exploration that does not wait": ["--noise.wait_for_successes", "0"],
+    "self-imitation": ["--learner.imitation_weight", "0.1"],
+    "strong self-imitation": ["--learner.imitation_weight", "0.5"],
+    "curriculum": ["--retry_share", "0.5", "--steps_after_success", "20"],
+    "overtime": ["--success_overtime", "100"],
+    "bonus": ["--success_bonus", "20"],
+    "triple bonus": ["--success_bonus", "60"],
+    "early echoes": ["--echo_share", "0.8"],
+    "1.5 updates a step": ["--learner.updates_per_step", "1.5"],
+    "two updates a step": ["--learner.updates_per_step", "2"],
+    "two updates of half a batch": ["--learner.updates_per_step", "2", "--learner.batch_size", "64"],
+    "faster actor": ["--learner.actor_rate", "6e-4", "--learner.tau", "0.02"],
+    "half the noise": ["--noise.decay_steps", "10000"],
+    "little noise": ["--noise.decay_steps", "5000", "--noise.retries", "drawn"],
+    "from one success": ["--noise.wait_for_successes", "1"],
+    "last weights": ["--learner.policy_average", "0"],
     "3 demonstrations": ["--config", "rl/demonstrations.yaml"],
+    "blind": ["--control", "blind"],
 }
-"""what is done otherwise, and the keys for it; a recipe, which comes first, takes the place of RECIPE"""
-ARMS = SEEING | {
-    BLIND if arm == THE_RECIPE else f"{BLIND}, {arm}": [*keys, "--control", "blind"] for arm, keys in SEEING.items()
-}
-ONE_SUCCESS, LAST_WEIGHTS = ", from one success", ", last weights"
-VARIATIONS = {ONE_SUCCESS: ["--noise.wait_for_successes", "1"], LAST_WEIGHTS: ["--learner.policy_average", "0"]}
-"""of every arm: what its name ends with, and the keys for it"""
+"""what an arm's name is joined from, and the keys for it; a recipe takes the place of RECIPE"""
 
 
 def main() -> None:
@@ -107,21 +68,19 @@ def main() -> None:
     parser.add_argument("--encoder", default="", help="what the agents see by; none for the true state")
     parser.add_argument("--eyes", help="what to call what they see by, where encoders differ by more than their seed")
     parser.add_argument("--seeds", default="0..9", help="as train-rl takes them")
-    parser.add_argument("--arms", nargs="+", choices=ARMS, default=list(ARMS), help="of the state, all but blind")
+    parser.add_argument("--arms", nargs="+", default=["the recipe"], help="what agents do otherwise than the recipe")
     parser.add_argument("--env_steps", type=int, default=30_000, help="of each run")
-    parser.add_argument("--one_success", action="store_true", help="explore less and less from the first success on")
-    parser.add_argument(
-        "--last_weights", action="store_true", help="evaluate the actor's last weights, not their average"
-    )
     parser.add_argument("--work", type=Path, default=Path("runs/agents"), help="folder of the runs")
     arguments = parser.parse_args()
     sees = ["--encoder", arguments.encoder] if arguments.encoder else []
     eyes = arguments.eyes or (LATENTS if arguments.encoder else STATE)
-    asked = {ONE_SUCCESS: arguments.one_success, LAST_WEIGHTS: arguments.last_weights}
-    endings = [ending for ending in VARIATIONS if asked[ending]]
-    for arm in (arm for arm in arguments.arms if arguments.encoder or "--control" not in ARMS[arm]):
-        keys = [*ARMS[arm], *(key for ending in endings for key in VARIATIONS[ending])]
-        arm += "".join(endings)
+    for arm in arguments.arms:
+        if unknown := [part for part in ingredients(arm) if part not in INGREDIENTS]:
+            parser.error(f"unknown {', '.join(unknown)}; there are {', '.join(INGREDIENTS)}")
+        if not arguments.encoder and "blind" in ingredients(arm):
+            parser.error("a blind agent needs an --encoder whose latent it does not see")
+    for arm in arguments.arms:
+        keys = arm_keys(arm)
         compared = f"{Path(arguments.scene).name}-{eyes}-{arguments.env_steps}"
         folder = arguments.work / compared.replace(" ", "-") / arm.replace(" ", "-").replace(",", "")
         runs = [run_folder(folder, seed) for seed in parse_seeds(arguments.seeds)]
@@ -129,6 +88,17 @@ def main() -> None:
             words = [*keys, "--scene", arguments.scene, *KEYS, "--env_steps", str(arguments.env_steps), *sees]
             train([*words, "--seeds", arguments.seeds, "--out", str(folder)])
         record(arguments.scene, eyes, arguments.env_steps, arm, keys, [row(run) for run in runs])
+
+
+def ingredients(arm: str) -> list[str]:
+    """Return what an arm's name is joined from."""
+    return re.split(", | and ", arm)
+
+
+def arm_keys(arm: str) -> list[str]:
+    """Return the keys of an arm, a recipe first, since what comes later overrides it."""
+    parts = sorted((INGREDIENTS[part] for part in ingredients(arm)), key=lambda keys: keys[:1] != ["--config"])
+    return [key for part in parts for key in part]
 
 
 def train(arguments: list[str]) -> None:
@@ -174,11 +144,10 @@ def record(scene: str, eyes: str, env_steps: int, arm: str, keys: list[str], run
     write_tables(AGENTS_PAGE, {"agents": table(arms)})
 
 
-def place(arm: str) -> int:
+def place(arm: str) -> list[int]:
     """Return where an arm stands among those of its task; those that had keys which are gone come last."""
-    order = list(ARMS)
-    name = arm.removesuffix(LAST_WEIGHTS).removesuffix(ONE_SUCCESS)
-    return order.index(name) if name in order else len(order)
+    order, parts = list(INGREDIENTS), ingredients(arm)
+    return [order.index(part) for part in parts] if set(parts) <= set(order) else [len(order)]
 
 
 def joined(
