@@ -12,30 +12,20 @@ An arm is named by what it does otherwise, joined by commas or "and"; INGREDIENT
 """
 
 import argparse
-import csv
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from nerf_rl.files.json_files import read_json, write_json
-from nerf_rl.files.outputs import PROVENANCE, SUMMARY
-from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION
-from nerf_rl.rl.sweeps.runs import GOOD, read_run, run_folder
+from nerf_rl.files.outputs import SUMMARY
+from nerf_rl.rl.sweeps.runs import GOOD, run_folder
 from nerf_rl.rl.sweeps.seed_list import parse_seeds
 from nerf_rl.rl.training.evaluation_results import SUCCESS
+from tools.compare.agent_runs import EPISODES, KEYS, ON_THE_WAY, RECIPE, put_runs, row, train
 from tools.page_tables import AGENTS_PAGE, markdown_table, task_name, write_tables
 
-RESULT, RECIPE = Path("rl/results/ablation.json"), "rl/demo.yaml"
+RESULT = Path("rl/results/ablation.json")
 LATENTS, STATE = "latents and motion", "state with changes"
 """what agents see by, unless it is called otherwise"""
-ON_THE_WAY, EPISODES = 30_000, 50
-"""environment steps after which longer runs are evaluated, too, and the episodes of every evaluation"""
-KEYS = ["--evaluation_every", str(ON_THE_WAY), "--checkpoint_every", str(ON_THE_WAY)]
-KEYS += ["--evaluation_episodes", str(EPISODES), "--final_evaluation_episodes", str(EPISODES)]
 INGREDIENTS = {
     "the recipe": [],
     "targets without bounds": ["--learner.bound_by_returns", "false"],
@@ -101,70 +91,23 @@ def arm_keys(arm: str) -> list[str]:
     return [key for part in parts for key in part]
 
 
-def train(arguments: list[str]) -> None:
-    """Train the seeds of a sweep that are missing; what comes later overrides what comes before."""
-    recipe = [] if arguments[0] == "--config" else ["--config", RECIPE]
-    command = [sys.executable, "-m", "nerf_rl.cli", "train-rl", *recipe, *arguments, "--resume", "true"]
-    subprocess.run(command, check=True)
-
-
-def row(run: Path) -> dict[str, Any]:
-    """Return what is told of a run, what it saw by, how many of its last training episodes succeeded, what made it."""
-    provenance = read_json(run / PROVENANCE)
-    versions = {name: provenance[name] for name in ("git_revision", "packages", "processor")}
-    facts = {"encoder": read_json(run / POLICY_DESCRIPTION)["encoder_digest"]}
-    return {**read_run(run), **facts, "late_training_success": late_training_success(run), **versions}
-
-
-def late_training_success(run: Path) -> float:
-    """Return the share of the training episodes in the last 5,000 environment steps that succeeded."""
-    ends, successes = training_episodes(run)
-    return float(successes[ends > ends[-1] - 5000].mean())
-
-
-def training_episodes(run: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return the environment steps at which each training episode ended, and which of them succeeded."""
-    with open(run / "monitor.csv", newline="") as file:
-        next(file)  # a line on the environment
-        episodes = [(int(line["l"]), line["is_success"] == "1") for line in csv.DictReader(file)]
-    lengths, successes = zip(*episodes, strict=True)
-    return np.cumsum(lengths), np.array(successes)
-
-
 def record(scene: str, eyes: str, env_steps: int, arm: str, keys: list[str], runs: list[dict[str, Any]]) -> None:
     """Put runs in place of those of the same seeds, and write file and table."""
-    known = read_json(RESULT)["arms"] if RESULT.exists() else []
-    what = {"scene": scene, "eyes": eyes, "env_steps": env_steps, "arm": arm}
-    arms = joined(known, what, {"keys": keys}, runs)
-    arms.sort(
-        key=lambda each: (*(each[name] for name in ("scene", "eyes", "env_steps")), place(each["arm"]), each["arm"])
-    )
     command = f"python -m tools.compare.agents; {RECIPE}, unless keys name another, {' '.join(KEYS)}"
-    write_json(RESULT, {"command": command, "arms": arms})
+    what = {"scene": scene, "eyes": eyes, "env_steps": env_steps, "arm": arm}
+    arms = put_runs(RESULT, "arms", {"command": command}, what, {"keys": keys}, runs, order)
     write_tables(AGENTS_PAGE, {"agents": table(arms)})
+
+
+def order(entry: dict[str, Any]) -> tuple[Any, ...]:
+    """Return what entries are sorted by."""
+    return (*(entry[name] for name in ("scene", "eyes", "env_steps")), place(entry["arm"]), entry["arm"])
 
 
 def place(arm: str) -> list[int]:
     """Return where an arm stands among those of its task; those that had keys which are gone come last."""
     order, parts = list(INGREDIENTS), ingredients(arm)
     return [order.index(part) for part in parts] if set(parts) <= set(order) else [len(order)]
-
-
-def joined(
-    known: list[dict[str, Any]], what: dict[str, Any], facts: dict[str, Any], runs: list[dict[str, Any]]
-) -> list[dict[str, Any]]:
-    """Return a result file's entries with runs put in place of those of the same seeds.
-
-    Args:
-        known: the entries so far.
-        what: that tells the entry of the runs from all others.
-        facts: that the entry says of itself beside.
-        runs: with their seeds.
-    """
-    same = [each for each in known if all(each[name] == value for name, value in what.items())]
-    kept = {run["seed"]: run for each in same for run in each["runs"]} | {run["seed"]: run for run in runs}
-    own = {**what, **facts, "runs": [kept[seed] for seed in sorted(kept)]}
-    return [*(each for each in known if each not in same), own]
 
 
 def table(arms: list[dict[str, Any]]) -> str:

@@ -14,12 +14,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from nerf_rl.files.json_files import read_json, write_json
-from nerf_rl.files.versions import processor
 from nerf_rl.rl.sweeps.runs import GOOD, run_folder
 from nerf_rl.rl.sweeps.seed_list import parse_seeds
 from nerf_rl.rl.training.evaluation_results import SUCCESS
-from tools.compare.agents import joined, row, train
+from tools.compare.agent_runs import put_runs, row, train
 from tools.page_tables import AGENTS_PAGE, markdown_table, write_tables
 
 RESULT = Path("rl/results/baselines.json")
@@ -49,13 +47,16 @@ def main() -> None:
         words = [*KEYS, "--env_steps", str(arguments.env_steps), "--encoder", arguments.encoder]
         train([*AGENTS[agent], *words, "--seeds", arguments.seeds, "--workers", "1", "--out", str(folder)])
         runs = [row(run_folder(folder, seed)) for seed in parse_seeds(arguments.seeds)]
-        known = read_json(RESULT)["agents"] if RESULT.exists() else []
+        command = f"python -m tools.compare.baselines; {' '.join(KEYS)}"
         what = {"agent": agent, "env_steps": arguments.env_steps}
-        versions = {"stable-baselines3": importlib.metadata.version("stable-baselines3")}
-        agents = joined(known, what, {"keys": AGENTS[agent], "processor": processor(), **versions}, runs)
-        agents.sort(key=lambda each: (each["env_steps"], list(AGENTS).index(each["agent"])))
-        write_json(RESULT, {"command": f"python -m tools.compare.baselines; {' '.join(KEYS)}", "agents": agents})
+        facts = {"keys": AGENTS[agent], "stable-baselines3": importlib.metadata.version("stable-baselines3")}
+        agents = put_runs(RESULT, "agents", {"command": command}, what, facts, runs, order)
         write_tables(AGENTS_PAGE, {"baselines": table(agents)})
+
+
+def order(entry: dict[str, Any]) -> tuple[int, int]:
+    """Return what entries are sorted by."""
+    return entry["env_steps"], list(AGENTS).index(entry["agent"])
 
 
 def table(agents: list[dict[str, Any]]) -> str:

@@ -15,16 +15,14 @@ from typing import Any
 import numpy as np
 
 from nerf_rl.files.atomic import atomic_write
-from nerf_rl.files.json_files import read_json, write_json
+from nerf_rl.files.json_files import read_json
 from nerf_rl.files.outputs import SUMMARY
-from nerf_rl.files.versions import processor
 from nerf_rl.rl.sweeps.aggregates import stratified_interval
 from nerf_rl.rl.sweeps.runs import GOOD, run_folder
 from nerf_rl.rl.sweeps.seed_list import parse_seeds
 from nerf_rl.rl.training.evaluation_results import SUCCESS
-from tools.compare.agents import EPISODES, KEYS, joined, train, training_episodes
-from tools.compare.agents import RECIPE as AGENT
-from tools.compare.agents import row as figures_of
+from tools.compare.agent_runs import EPISODES, KEYS, RECIPE, put_runs, train, training_episodes
+from tools.compare.agent_runs import row as figures_of
 from tools.compare.objectives import ORDER, WHOLE
 from tools.page_tables import ENCODERS_PAGE, markdown_table, task_name, write_tables
 
@@ -72,14 +70,19 @@ def row(run: Path, env_steps: int) -> dict[str, Any]:
 
 def record(scene: str, env_steps: int, objective: str, runs: list[dict[str, Any]]) -> None:
     """Put runs in place of those of the same seeds; write file, table and figure."""
-    known = read_json(RESULT)["agents"] if RESULT.exists() else []
+    head = {
+        "command": f"python -m tools.compare.objective_agents ENCODERS; {RECIPE} with {' '.join(KEYS)}",
+        "span": SPAN,
+    }
     what = {"scene": scene, "env_steps": env_steps, "objective": objective}
-    agents = joined(known, what, {"processor": processor()}, runs)
-    agents.sort(key=lambda each: (each["scene"], each["env_steps"], ARMS.index(each["objective"])))
-    command = f"python -m tools.compare.objective_agents ENCODERS; {AGENT} with {' '.join(KEYS)}"
-    write_json(RESULT, {"command": command, "span": SPAN, "agents": agents})
+    agents = put_runs(RESULT, "agents", head, what, {}, runs, order)
     write_tables(ENCODERS_PAGE, {"objective-agents": table(agents)})
     draw(agents)
+
+
+def order(entry: dict[str, Any]) -> tuple[Any, ...]:
+    """Return what entries are sorted by."""
+    return entry["scene"], entry["env_steps"], ARMS.index(entry["objective"])
 
 
 def table(agents: list[dict[str, Any]]) -> str:
