@@ -324,6 +324,8 @@ class TrainRLConfig:
             )
         if self.echo_share and not self.retry_share:
             raise UserError(f"--echo_share {self.echo_share} is of retries; give --retry_share, too")
+        if self.noise.retries != "first" and not self.retry_share:
+            raise UserError(f"--noise.retries {self.noise.retries} is of retries; give --retry_share, too")
 
     def content(self) -> dict[str, Any]:
         """Return the keys that must not change when a run is resumed."""

@@ -1,6 +1,8 @@
-"""Curriculum that failed come back once, with all exploration; episodes end after successes that are not news."""
+"""Starts that failed come back once, with noise of their own; episodes end after successes that are not news."""
 
+import dataclasses
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -138,10 +140,12 @@ def trained(trainer: Trainer, until: int) -> np.ndarray:
     return trainer.replay.rows(0, trainer.replay.stored)
 
 
+@pytest.mark.parametrize("noise", ["first", "drawn"])
 def test_a_run_tries_again_where_it_failed_and_resumes_to_the_same_episodes(
     envs: AsyncVectorEnv,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
+    noise: Literal["first", "drawn"],
 ) -> None:
     begun: list[tuple[int, bool]] = []
     begin = Curriculum.begin
@@ -153,7 +157,9 @@ def test_a_run_tries_again_where_it_failed_and_resumes_to_the_same_episodes(
 
     monkeypatch.setattr(Curriculum, "begin", noted)
     (tmp_path / "whole").mkdir()
-    whole = Trainer(config(tmp_path / "whole", retry_share=0.5), envs, tmp_path / "whole")
+    plain = config(tmp_path / "whole", retry_share=0.5)
+    keys = dataclasses.replace(plain, noise=dataclasses.replace(plain.noise, retries=noise))
+    whole = Trainer(keys, envs, tmp_path / "whole")
     trained(whole, 240)
     whole.save()
     rows = trained(whole, 480)
@@ -162,7 +168,7 @@ def test_a_run_tries_again_where_it_failed_and_resumes_to_the_same_episodes(
     assert len(retries) >= 3
     assert all(seed in [earlier for earlier, _ in begun[:i]] for i, seed in retries)
     first = len(begun)
-    resumed = Trainer(config(tmp_path / "whole", retry_share=0.5, resume=True), envs, tmp_path / "whole")
+    resumed = Trainer(dataclasses.replace(keys, resume=True), envs, tmp_path / "whole")
     again = trained(resumed, 480)
     resumed.replay.close()
     later = begun[first:]

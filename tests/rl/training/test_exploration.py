@@ -36,7 +36,7 @@ def test_one_success_may_be_luck_and_two_of_the_last_20_episodes_are_not(between
 def retry_noise(retries: str, env_step: int, again: bool) -> np.ndarray:
     """Standard deviations [50, 2] of the noise in episodes of two environments, the second of which try again."""
     noise = NoiseConfig(kind="gaussian", start=0.3, end=0.0, decay_steps=1000, retries=retries, epsilon_z=0.0)
-    made = Exploration(TrainRLConfig(out="x", noise=noise), 2, 1000, np.random.default_rng(0))
+    made = Exploration(TrainRLConfig(out="x", retry_share=0.5, noise=noise), 2, 1000, np.random.default_rng(0))
     found = []
     for _ in range(50):
         for env in range(2):
