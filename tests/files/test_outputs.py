@@ -146,10 +146,18 @@ def test_provenance_records_config_seed_and_versions(ours: Path):
     assert provenance["processor"] == processor()
 
 
-def test_a_processor_has_a_name_and_its_instructions_for_bfloat16(tmp_path: Path):
+@pytest.mark.parametrize("tells_cores", [True, False])  # macOS does not tell which cores a process may use
+def test_a_processor_has_a_name_and_its_instructions_for_bfloat16(
+    tells_cores: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("os.cpu_count", lambda: 7)
+    if tells_cores:
+        monkeypatch.setattr("os.sched_getaffinity", lambda pid: {0, 5, 6})
+    else:
+        monkeypatch.delattr("os.sched_getaffinity")
+    cores = 3 if tells_cores else 7
     cpuinfo = tmp_path / "cpuinfo"
     cpuinfo.write_text("model name\t: Some Processor\nflags\t\t: fpu avx512_bf16 sse\nmodel name\t: Some Processor\n")
-    cores = len(os.sched_getaffinity(0))
     assert processor(cpuinfo) == f"Some Processor, {cores} cores (avx512_bf16)"
     cpuinfo.write_text("CPU implementer\t: 0x41\n")  # as Arm has it
     expected = f"{platform.machine()}, {cores} cores (without bfloat16)"

@@ -59,9 +59,8 @@ class Exploration:
         Args:
             env: which of the environments.
             env_step: now.
-            again: the episode tries a start again that failed, with noise of its own. From far away all of it finds
-                what little of it does not; but where the policy all but succeeds, all of it destroys what the policy
-                does, and little suffices.
+            again: the episode tries a start again that failed, with noise of its own. Much of it is meant for starts
+                from which the policy is far from success, little for those from which it all but succeeds.
         """
         self._noise.reset(env)
         drawn = self._rng.random() if again and self._config.retries == "drawn" else 1.0
