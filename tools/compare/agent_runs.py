@@ -1,6 +1,8 @@
 """Agents that tools compare: trained if they are missing, and kept in result files by their seeds."""
 
 import csv
+import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -9,10 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from nerf_rl.files.json_files import read_json, write_json
+from nerf_rl.files.atomic import write_text
+from nerf_rl.files.json_files import json_text, read_json
 from nerf_rl.files.outputs import PROVENANCE
 from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION
 from nerf_rl.rl.sweeps.runs import read_run
+from nerf_rl.rl.training.evaluation_results import HIGH, LOW
 
 RECIPE = "rl/demo.yaml"
 """what agents are trained by, unless their keys name another"""
@@ -30,11 +34,20 @@ def train(arguments: list[str]) -> None:
 
 
 def row(run: Path) -> dict[str, Any]:
-    """Return what is told of a run, what it saw by, how many of its last training episodes succeeded, what made it."""
+    """Return what is told of a run, what it saw by, how many of its last training episodes succeeded, what made it.
+
+    Its folder's name and the intervals of success rates, which follow from the rest, are left out.
+    """
+    figures = read_run(run)
+    figures.pop("run")
+    figures["evaluations"] = [
+        {name: value for name, value in evaluation.items() if name not in (LOW, HIGH)}
+        for evaluation in figures["evaluations"]
+    ]
     provenance = read_json(run / PROVENANCE)
     versions = {name: provenance[name] for name in ("git_revision", "packages", "processor")}
     facts = {"encoder": read_json(run / POLICY_DESCRIPTION)["encoder_digest"]}
-    return {**read_run(run), **facts, "late_training_success": late_training_success(run), **versions}
+    return {**figures, **facts, "late_training_success": late_training_success(run), **versions}
 
 
 def late_training_success(run: Path) -> float:
@@ -50,6 +63,16 @@ def training_episodes(run: Path) -> tuple[np.ndarray, np.ndarray]:
         episodes = [(int(line["l"]), line["is_success"] == "1") for line in csv.DictReader(file)]
     lengths, successes = zip(*episodes, strict=True)
     return np.cumsum(lengths), np.array(successes)
+
+
+def read_entries(result: Path, name: str) -> list[dict[str, Any]]:
+    """Return the entries of a result file, whose runs tell their packages themselves; none if there is no file."""
+    if not result.exists():
+        return []
+    content = read_json(result)
+    for run in (run for entry in content[name] for run in entry["runs"]):
+        run["packages"] = content["packages"][run["packages"]]
+    return content[name]
 
 
 def put_runs(
@@ -72,10 +95,26 @@ def put_runs(
         runs: with their seeds.
         order: of an entry, what entries are sorted by.
     """
-    known = read_json(result)[name] if result.exists() else []
+    known = read_entries(result, name)
     same = [each for each in known if all(each[key] == value for key, value in what.items())]
     kept = {run["seed"]: run for each in same for run in each["runs"]} | {run["seed"]: run for run in runs}
     own = {**what, **facts, "runs": [kept[seed] for seed in sorted(kept)]}
     entries = sorted([*(each for each in known if each not in same), own], key=order)
-    write_json(result, {**head, name: entries})
+    _write_entries(result, name, head, entries)
     return entries
+
+
+def _write_entries(result: Path, name: str, head: dict[str, Any], entries: list[dict[str, Any]]) -> None:
+    """Write entries, a line for each of their many runs; packages are told once and runs count them, from 0."""
+    packages: list[dict[str, str]] = []
+    lines: list[str] = []
+    told = []
+    for entry in entries:
+        places = range(len(lines), len(lines) + len(entry["runs"]))
+        for run in entry["runs"]:
+            if run["packages"] not in packages:
+                packages.append(run["packages"])
+            lines.append(json.dumps({**run, "packages": packages.index(run["packages"])}, allow_nan=False))
+        told.append({**entry, "runs": [f"run {place}" for place in places]})
+    text = json_text({**head, "packages": packages, name: told})
+    write_text(result, re.sub(r'"run (\d+)"', lambda place: lines[int(place[1])], text))

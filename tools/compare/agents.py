@@ -1,4 +1,4 @@
-"""Compare an agent's recipe with itself, some of its keys otherwise, over the same seeds: a result file and a table.
+"""Compare an agent's recipe with itself, some of its keys otherwise, over the same seeds: result files and a table.
 
 Blind agents stand beside those that see by an encoder: what they reach needs no eyes.
 
@@ -20,10 +20,11 @@ from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.rl.sweeps.runs import GOOD, run_folder
 from nerf_rl.rl.sweeps.seed_list import parse_seeds
 from nerf_rl.rl.training.evaluation_results import SUCCESS
-from tools.compare.agent_runs import EPISODES, KEYS, ON_THE_WAY, RECIPE, put_runs, row, train
+from tools.compare.agent_runs import EPISODES, KEYS, ON_THE_WAY, RECIPE, put_runs, read_entries, row, train
 from tools.page_tables import AGENTS_PAGE, markdown_table, task_name, write_tables
 
-RESULT = Path("rl/results/ablation.json")
+RESULTS = Path("rl/results/agents")
+"""a file for each task"""
 LATENTS, STATE = "latents and motion", "state with changes"
 """what agents see by, unless it is called otherwise"""
 INGREDIENTS = {
@@ -95,8 +96,9 @@ def record(scene: str, eyes: str, env_steps: int, arm: str, keys: list[str], run
     """Put runs in place of those of the same seeds, and write file and table."""
     command = f"python -m tools.compare.agents; {RECIPE}, unless keys name another, {' '.join(KEYS)}"
     what = {"scene": scene, "eyes": eyes, "env_steps": env_steps, "arm": arm}
-    arms = put_runs(RESULT, "arms", {"command": command}, what, {"keys": keys}, runs, order)
-    write_tables(AGENTS_PAGE, {"agents": table(arms)})
+    put_runs(RESULTS / f"{task_name(scene)}.json", "arms", {"command": command}, what, {"keys": keys}, runs, order)
+    arms = [arm for file in RESULTS.glob("*.json") for arm in read_entries(file, "arms")]
+    write_tables(AGENTS_PAGE, {"agents": table(sorted(arms, key=order))})
 
 
 def order(entry: dict[str, Any]) -> tuple[Any, ...]:
