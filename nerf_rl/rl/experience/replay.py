@@ -100,7 +100,8 @@ class Replay:
         self._bounded_steps = bounded_steps
         self._bounds = torch.full((config.capacity if bounded_steps else 0,), _UNKNOWN)
         self._demonstrations: Float[Tensor, "D W"] = torch.zeros(0, sum(self._split))
-        self._demonstration_count = round(config.demonstration_share * batch_size)
+        # at least one is the agent's own, of which demonstrations have the mean weight
+        self._demonstration_count = min(round(config.demonstration_share * batch_size), batch_size - 1)
 
     def __len__(self) -> int:
         return len(self._storage)
@@ -157,7 +158,7 @@ class Replay:
             self._sampler.beta = beta
         count = self._batch_size - self._demonstrated()
         index, information = self._sampler.sample(self._storage, count)
-        weight = information["priority_weight"].float() if self.prioritised else torch.ones(count)
+        weight = information["priority_weight"].float().reshape(count) if self.prioritised else torch.ones(count)
         rows = self._gather_rows(index)
         if self._demonstrated():
             places, shown = self._draw_demonstrated(self._demonstrated())

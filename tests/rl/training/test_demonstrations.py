@@ -140,7 +140,7 @@ def transition(i: int) -> Transition:
     return Transition(np.full(3, i), np.full(2, i), float(i), 0.9, np.full(3, i))
 
 
-@pytest.mark.parametrize(("share", "shown"), [(0.5, 20), (0.25, 10), (0.0, 0)])
+@pytest.mark.parametrize(("share", "shown"), [(0.99, 39), (0.5, 20), (0.25, 10), (0.0, 0)])
 def test_a_share_of_each_batch_is_of_demonstrations_with_the_mean_weight(
     tmp_path: Path, share: float, shown: int
 ) -> None:
