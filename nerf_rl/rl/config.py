@@ -315,6 +315,10 @@ class TrainRLConfig:
             raise UserError(f"--algo {self.algo} learns from the end of --warmup_steps on; leave out --learning_starts")
         if self.algo in ("sb3-ddpg", "sb3-td3") and self.noise.kind == "pink":
             raise UserError(f"--algo {self.algo} has no pink noise; use --noise.kind gaussian or ou")
+        if self.network.normalisation == "batch" and self.learner.batch_size == 1:
+            raise UserError(
+                "--network.normalisation batch has no deviation of --learner.batch_size 1; give a larger one"
+            )
         if self.episode_steps < self.action_repeat:
             raise UserError(f"--episode_steps {self.episode_steps} is less than --action_repeat {self.action_repeat}")
         if self.success_bonus and self.replay.hindsight:

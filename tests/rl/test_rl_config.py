@@ -64,6 +64,10 @@ ROOT = Path(__file__).parents[2]
         ),
         (["--encoder", "nowhere"], "nowhere is not an encoder: it does not exist"),
         (
+            ["--network.normalisation", "batch", "--learner.batch_size", "1"],
+            "--network.normalisation batch has no deviation of --learner.batch_size 1; give a larger one",
+        ),
+        (
             ["--episode_steps", "600"],
             "--episode_steps 600 is more than the 500 steps that metaworld/drawer-open-v3 allows",
         ),

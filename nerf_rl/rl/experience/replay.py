@@ -200,7 +200,7 @@ class Replay:
         """
         if not self.prioritised or not len(self):
             return 1.0
-        p = torch.as_tensor(self._sampler.state_dict()["_sum_tree"][torch.arange(len(self))]).double()
+        p = self._powered_priorities().double()
         return float(p.sum().square() / (len(p) * p.square().sum()))
 
     def state(self) -> dict[str, Tensor]:
@@ -209,11 +209,9 @@ class Replay:
 
     def bookkeeping(self) -> dict[str, Tensor]:
         """Return all but the rows that a resumed run needs: how many were stored, priorities, random state."""
-        indices = torch.arange(len(self))
         state = {"stored": torch.tensor(self.stored), "generator": self.generator.get_state()}
         if self.prioritised:
-            sampler = self._sampler.state_dict()
-            state["powered_priority"] = torch.as_tensor(sampler["_sum_tree"][indices])
+            state["powered_priority"] = self._powered_priorities()
             state["max_priority"] = torch.as_tensor(self._sampler.default_priority, dtype=torch.float32)
         if self._bounded_steps:
             state["bound"] = self._bounds[: len(self)]
@@ -273,6 +271,8 @@ class Replay:
     def _bound(self, stored: Int[Tensor, "T"], value: Callable[[Float[ndarray, "O"]], float]) -> None:
         """Keep what an episode brought from each of its rows on, of those that are still there."""
         index = stored[stored >= self.oldest] % self._capacity
+        if not len(index):  # a memory that is smaller than what other environments stored meanwhile
+            return
         parts = self._gather_rows(index).split(self._split, dim=-1)
         reward, discount, next_observation = (part.numpy() for part in parts[2:])
         last_value = value(next_observation[-1])
@@ -287,6 +287,11 @@ class Replay:
         if self._rows is None:
             # A plain view of the mapped file: indexing TorchRL's own tensor subclass costs four times as much.
             self._rows = torch.from_numpy(self._storage._storage.numpy())
+
+    def _powered_priorities(self) -> Float[Tensor, "N"]:
+        """Return p^alpha of all rows; of a single one, trees return a number."""
+        tree = self._sampler.state_dict()["_sum_tree"]
+        return torch.as_tensor(tree[torch.arange(len(self))]).reshape(len(self))
 
     def _gather_rows(self, index: Tensor) -> Tensor:
         assert self._rows is not None

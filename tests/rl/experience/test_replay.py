@@ -109,3 +109,21 @@ def test_the_file_lies_in_the_given_folder_until_closed(tmp_path: Path) -> None:
 def test_a_full_disk_is_told_before_anything_is_stored(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"replay memory needs .* GB of disk, .* smaller --replay.capacity"):
         check_free_space(tmp_path, 10**18)
+
+
+def test_a_memory_of_one_transition_has_a_spread_and_comes_back(tmp_path: Path) -> None:
+    replay = filled(tmp_path, count=1, batch_size=2)
+    assert replay.priority_spread() == pytest.approx(1.0)
+    again = Replay(ReplayConfig(capacity=8), 3, 2, 2, tmp_path / "again", seed=1)
+    again.load_state(replay.state())
+    assert torch.equal(again.sample(0.5).observation, replay.sample(0.5).observation)
+
+
+def test_an_episode_of_which_nothing_is_left_in_memory_ends_without_bounds(tmp_path: Path) -> None:
+    replay = Replay(ReplayConfig(capacity=2), 3, 2, 4, tmp_path / "replay", envs=2, bounded_steps=1)
+    replay.add([transition(0)], env=0)
+    replay.add([transition(1), transition(2)], env=1)
+    replay.end_episode(0, lambda observation: 1.0)
+    assert (replay.sample(0.5).bound < -1e38).all(), "nothing is known of what another episode's steps brought"
+    replay.end_episode(1, lambda observation: 1.0)
+    assert (replay.sample(0.5).bound > 0).all()
