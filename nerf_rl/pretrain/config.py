@@ -8,6 +8,7 @@ from nerf_rl.arguments.limits import (
     Count,
     Limits,
     Natural,
+    NotNegative,
     Positive,
     PositiveShare,
     Processes,
@@ -83,9 +84,9 @@ class FieldConfig:
 class SamplingConfig:
     """Where rays are evaluated."""
 
-    near: float | None = None
+    near: Positive | None = None
     """nearest planar depth [m]; from the data's depth if null"""
-    far: float | None = None
+    far: Positive | None = None
     """depth beyond which everything is one backdrop [m]; from the data's depth if null"""
     scene_box: bool = True
     """rays are evaluated within the box of all that the data's depth shows before the backdrop, and not outside"""
@@ -93,11 +94,11 @@ class SamplingConfig:
     """samples a training ray, evenly between near and far"""
     training_free_space: Natural = 3
     """samples a training ray, on the last stretch before its known depth"""
-    free_space_reach: float = 0.5
+    free_space_reach: NotNegative = 0.5
     """length of that stretch [m]"""
     training_surface: Natural = 3
     """samples a training ray, around its known depth"""
-    surface_deviation: float = 0.02
+    surface_deviation: NotNegative = 0.02
     """standard deviation of those [m]"""
     training_importance: Natural = 0
     """samples a training ray, where the even ones found density; 0 where depth says where to look"""
@@ -118,18 +119,21 @@ class SamplingConfig:
 class LossConfig:
     """Weights of the losses; each is logged under its name."""
 
-    rgb: float = 1.0
+    rgb: NotNegative = 1.0
     """squared error of colours in [0, 1]"""
-    semantic: float = 0.1
+    semantic: NotNegative = 0.1
     """cross-entropy of class labels"""
-    feature: float = 0.02
+    feature: NotNegative = 0.02
     """squared error of the teachers' features"""
-    depth: float = 0.1
+    depth: NotNegative = 0.1
     """distance of the ray's weight from the known surface [m]"""
-    anchor: float = 1.0
+    anchor: NotNegative = 1.0
     """distance of frames from the visible middle of the classes that they follow, in units of how far those move"""
-    segmentation: float = 0.3
+    segmentation: NotNegative = 0.3
     """cross-entropy of what the cells of the encoder's pictures show, by which it finds landmarks"""
+
+    def __post_init__(self) -> None:
+        check_values(self, "losses.")
 
 
 @dataclass
@@ -158,9 +162,9 @@ class PretrainConfig:
     """frames in a training step"""
     rays_per_scene: Annotated[int, Limits(least=1, most=2**16)] = 64
     """rays drawn over all supervising cameras of a frame"""
-    class_balance: float = 0.25
+    class_balance: Annotated[float, Limits(least=0, most=100)] = 0.25
     """rays are drawn with weight (class frequency)^-balance: 0 is uniform, 1 gives every class the same share"""
-    change_boost: float = 4.0
+    change_boost: NotNegative = 4.0
     """rays of fixed cameras are drawn with weight 1 + boost x (share of frames in which its class is unusual)"""
     steps: Count = 4000
     """training steps"""

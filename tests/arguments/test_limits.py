@@ -1,8 +1,11 @@
 """What keys take: refused in a sentence, whoever makes the configuration, and told by help."""
 
 import re
-from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from collections.abc import Iterator
+from dataclasses import dataclass, field, is_dataclass
+from importlib import import_module
+from types import UnionType
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import pytest
 
@@ -77,3 +80,36 @@ def test_help_says_what_keys_take(command: str, words: list[str], capsys: pytest
         cli.main([command, "--help"])
     told = " ".join(capsys.readouterr().out.split())
     assert all(word in told for word in words)
+
+
+def numbers_of(config: type) -> Iterator[tuple[str, Any]]:
+    """Yield each key of a configuration that takes a number, and all that its type says; with those of its parts."""
+    for name, hint in get_type_hints(config, include_extras=True).items():
+        parts = [hint, *get_args(hint)]
+        parts += [
+            argument for part in parts if get_origin(part) in (Annotated, UnionType) for argument in get_args(part)
+        ]
+        yield from (
+            found for part in parts if isinstance(part, type) and is_dataclass(part) for found in numbers_of(part)
+        )
+        if {int, float} & {part for part in parts if isinstance(part, type)}:
+            yield f"{config.__name__}.{name}", parts
+
+
+@pytest.mark.parametrize("command", cli.COMMANDS)
+def test_every_number_has_limits(command: str):
+    module, _, name = cli.COMMANDS[command].config.partition(":")
+    without = {
+        key
+        for key, parts in numbers_of(getattr(import_module(module), name))
+        if not any(isinstance(part, Limits) for part in parts)
+    }
+    looked_at_elsewhere = (
+        "CameraConfig.",
+        "RingConfig.",
+        "DomeConfig.",
+        "RandomCameraConfig.",
+        "Range.",
+        "ExportConfig.",
+    )
+    assert {key for key in without if not key.startswith(looked_at_elsewhere)} == set()

@@ -31,7 +31,7 @@ class PPOConfig:
     """weight of the value loss"""
     max_grad_norm: Positive = 0.5
     """gradients longer than this are shortened"""
-    log_std_init: float = 0.0
+    log_std_init: Annotated[float, Limits(least=-20, most=20)] = 0.0
     """logarithm of the actions' first standard deviation"""
     hidden: list[Count] = field(default_factory=lambda: [64, 64])
     """widths of the hidden layers of policy and value"""
