@@ -28,4 +28,4 @@ class ReportConfig:
     def __post_init__(self) -> None:
         check_values(self)
         if not self.out.endswith(".html"):
-            raise UserError(f"--out must be an .html file, got {self.out}")
+            raise UserError(f"--out must end in .html, got {self.out}")

@@ -49,7 +49,7 @@ class ViewConfig:
         for name, suffix in _SUFFIXES.items():
             value = getattr(self, name)
             if value and not value.endswith(suffix):
-                raise UserError(f"--{name} must be an {suffix} file, got {value}")
+                raise UserError(f"--{name} must end in {suffix}, got {value}")
         check_device_name(self.device)
 
     @property

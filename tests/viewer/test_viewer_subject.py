@@ -55,7 +55,7 @@ def test_the_path_needs_no_key_wherever_it_stands() -> None:
 @pytest.mark.parametrize(
     "keys, message",
     [
-        ({"save": "x.png"}, "--save must be an .html file"),
+        ({"save": "x.png"}, "--save must end in .html"),
         ({"port": 70000}, "--port must be at most 65535, got 70000"),
         ({"frames": 0}, "--frames must be at least 1"),
         ({"seed": -1}, "--seed must be at least 0"),

@@ -6,6 +6,7 @@ from types import ModuleType
 import numpy as np
 
 from nerf_rl.datasets.export.seen import Seen
+from nerf_rl.datasets.storage.point_cloud import unproject
 from nerf_rl.errors import UserError
 from nerf_rl.files.atomic import atomic_write
 from nerf_rl.machine.extras import import_extra
@@ -55,10 +56,12 @@ def write_mesh(path: Path, seen: Seen, voxel: float) -> None:
     for view in np.flatnonzero(depth.any(axis=(1, 2))):
         image = open3d.t.geometry.Image(tensor(np.ascontiguousarray(depth[view][..., None])))
         colours = open3d.t.geometry.Image(tensor(frame.rgb[view].astype(np.float32) / 255))
-        camera = (tensor(frame.intrinsics[view].tolist()), tensor(frame.camera_from_world[view].tolist()))
-        limits = (_DEPTH_UNIT, _FARTHEST, _TRUNCATION_VOXELS)
-        blocks = grid.compute_unique_block_coordinates(image, *camera, *limits)
-        grid.integrate(blocks, image, colours, *camera, *limits)
+        matrices = frame.intrinsics[view], frame.camera_from_world[view]
+        # of a depth image, Open3D would look at every fourth pixel of every fourth row for blocks that it touches
+        points = unproject(depth[view], *matrices)[depth[view] > 0].astype(np.float32)
+        blocks = grid.compute_unique_block_coordinates(open3d.t.geometry.PointCloud(tensor(points)), _TRUNCATION_VOXELS)
+        camera = [tensor(matrix.tolist()) for matrix in matrices]
+        grid.integrate(blocks, image, colours, *camera, _DEPTH_UNIT, _FARTHEST, _TRUNCATION_VOXELS)
     mesh = grid.extract_triangle_mesh(_LEAST_WEIGHT) if depth.any() else None
     if mesh is None or len(mesh.triangle.indices) == 0:
         raise UserError(f"frame {frame.index} shows no surface to fuse; raise --reach or --exclude fewer classes")

@@ -118,6 +118,34 @@ def test_a_meshs_surface_is_where_the_depth_says(dataset: MultiViewDataset, tmp_
     assert mesh.visual.vertex_colors[:, :3].std() > 10
 
 
+@needs_open3d
+@pytest.mark.parametrize("voxel", [0.02, 0.005])
+def test_a_mesh_has_what_every_pixel_shows_however_fine_its_voxels(
+    dataset: MultiViewDataset, tmp_path: Path, voxel: float
+):
+    arguments = ["--format", "mesh", "--frames", "[4]", "--voxel", str(voxel)]
+    path = exported(dataset, tmp_path / "out", *arguments) / "frame_000004.ply"
+    import open3d
+
+    shown = [points_of(dataset, 4, view) for view in range(len(dataset.camera_names))]
+    points = np.concatenate([points[hit] for points, hit in shown]).astype(np.float32)
+    scene = open3d.t.geometry.RaycastingScene()
+    scene.add_triangles(open3d.t.geometry.TriangleMesh.from_legacy(open3d.io.read_triangle_mesh(str(path))))
+    assert (scene.compute_distance(points).numpy() < 0.02).mean() > 0.9
+
+
+@needs_open3d
+def test_a_mesh_of_a_thing_of_few_pixels_is_fused_or_refused_in_a_sentence(
+    dataset: MultiViewDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    few = min(range(1, len(dataset.class_names)), key=lambda i: (dataset.read("semantic", [4]) == i).sum())
+    exclude = ",".join(name for i, name in enumerate(dataset.class_names) if i != few)
+    arguments = ["--format", "mesh", "--frames", "[4]", "--exclude", f"[{exclude}]", "--voxel"]
+    for voxel, code in (("0.01", 0), ("2.0", 2)):
+        assert cli.main(["export", str(dataset.folder), "--out", str(tmp_path / voxel), *arguments, voxel]) == code
+    assert "frame 4 shows no surface to fuse" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     "arguments, message",
     [
