@@ -96,7 +96,8 @@ def record(scene: str, eyes: str, env_steps: int, arm: str, keys: list[str], run
     """Put runs in place of those of the same seeds, and write file and table."""
     command = f"python -m tools.compare.agents; {RECIPE}, unless keys name another, {' '.join(KEYS)}"
     what = {"scene": scene, "eyes": eyes, "env_steps": env_steps, "arm": arm}
-    put_runs(RESULTS / f"{task_name(scene)}.json", "arms", {"command": command}, what, {"keys": keys}, runs, order)
+    result = RESULTS / f"{task_name(scene).replace('/', '-')}.json"
+    put_runs(result, "arms", {"command": command}, what, {"keys": keys}, runs, order)
     arms = [arm for file in RESULTS.glob("*.json") for arm in read_entries(file, "arms")]
     write_tables(AGENTS_PAGE, {"agents": table(sorted(arms, key=order))})
 
