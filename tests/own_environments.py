@@ -56,8 +56,22 @@ class Slider(gymnasium.Env):
         return {"observation": state, "achieved_goal": self.data.qpos.copy(), "desired_goal": self.goal.copy()}
 
 
+class NamedGoalSlider(Slider):
+    """Its goals are dictionaries with a goal for each thing, as those of Gymnasium-Robotics' FrankaKitchen are."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        parts = self.observation_space.spaces.items()
+        nested = {name: gymnasium.spaces.Dict({"cart": box}) if "goal" in name else box for name, box in parts}
+        self.observation_space = gymnasium.spaces.Dict(nested)
+
+    def _get_obs(self) -> dict[str, Any]:
+        return {name: {"cart": part} if "goal" in name else part for name, part in super()._get_obs().items()}
+
+
 gymnasium.register("Slider-v0", entry_point=Slider, max_episode_steps=20)
-SLIDER = "gym/own_environments:Slider-v0"
+gymnasium.register("NamedGoalSlider-v0", entry_point=NamedGoalSlider, max_episode_steps=20)
+SLIDER, NAMED_GOAL_SLIDER = "gym/own_environments:Slider-v0", "gym/own_environments:NamedGoalSlider-v0"
 
 
 def train(out: Path, *arguments: str) -> int:

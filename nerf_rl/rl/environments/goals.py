@@ -26,10 +26,14 @@ class GoalRules(Protocol):
 
 
 def has_goal(env: gymnasium.Env) -> bool:
-    """Tell whether an environment is one with exchangeable goals, as Gymnasium-Robotics defines them."""
+    """Tell whether an environment is one with exchangeable goals, as Gymnasium-Robotics defines them.
+
+    One whose goals are dictionaries, such as FrankaKitchen's of a goal for each appliance, is none.
+    """
     space = env.observation_space
-    parts = isinstance(space, Dict) and set(space.spaces) == {OBSERVATION, ACHIEVED, DESIRED}
-    return parts and hasattr(env.unwrapped, "compute_reward")
+    if not isinstance(space, Dict) or set(space.spaces) != {OBSERVATION, ACHIEVED, DESIRED}:
+        return False
+    return all(isinstance(part, Box) for part in space.values()) and hasattr(env.unwrapped, "compute_reward")
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Dict
+from gymnasium.spaces import Box, Dict
 from jaxtyping import Float
 from numpy import ndarray
 
@@ -73,7 +73,8 @@ def _goal_sizes(scene: Scene) -> dict[str, int]:
     """Return how many numbers each goal in a scene's observation has, if that is a dictionary with goals."""
     space = scene.env.observation_space
     parts = space.spaces if isinstance(space, Dict) else {}
-    return {part: int(np.prod(parts[part].shape or ())) for part in (DESIRED, ACHIEVED) if part in parts}
+    goals = {part: parts.get(part) for part in (DESIRED, ACHIEVED)}
+    return {part: int(np.prod(goal.shape)) for part, goal in goals.items() if isinstance(goal, Box)}
 
 
 def _part(name: str) -> Read:

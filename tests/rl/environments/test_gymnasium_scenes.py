@@ -7,12 +7,13 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from own_environments import BLOCK, ROOT, SLIDER, Slider, make_encoder, train
+from own_environments import BLOCK, NAMED_GOAL_SLIDER, ROOT, SLIDER, Slider, make_encoder, train
 
 from nerf_rl import cli
 from nerf_rl.errors import UserError
 from nerf_rl.rl.environments.goals import GoalTask
 from nerf_rl.rl.environments.make import EnvSpec, make_env, make_goal_task
+from nerf_rl.rl.environments.observed_columns import ObservedColumns
 from nerf_rl.rl.environments.wrappers import with_flat_observation, with_unit_actions
 from nerf_rl.rl.rollout import rollout
 from nerf_rl.scenes.base import success_in
@@ -144,6 +145,20 @@ def test_dictionaries_without_goals_become_vectors():
         {"a": gymnasium.spaces.Box(-1, 1, (2, 2)), "b": gymnasium.spaces.Box(-1, 1, (3,))}
     )
     assert with_flat_observation(env).observation_space.shape == (7,)
+
+
+def test_goals_that_are_dictionaries_become_part_of_the_vector(capsys: pytest.CaptureFixture[str], tmp_path: Path):
+    env, scene = make_env(EnvSpec(NAMED_GOAL_SLIDER, None, 1, 20))
+    assert scene is not None
+    observation, _ = env.reset(seed=1)
+    goal = scene.env.unwrapped.goal  # type: ignore[attr-defined]
+    np.testing.assert_allclose(observation, [0.0, goal[0], 0.0, 0.0], atol=1e-6)  # achieved, desired, observation
+    env.close()
+    with pytest.raises(UserError, match="unknown column of the true state to observe 'desired_goal'"):
+        ObservedColumns(scene, ["desired_goal"])
+    assert train(tmp_path / "run", "--scene", NAMED_GOAL_SLIDER, "--replay.hindsight", "4") == 2
+    assert "--replay.hindsight needs a scene with a goal" in capsys.readouterr().err
+    assert train(tmp_path / "run", "--scene", NAMED_GOAL_SLIDER) == 0
 
 
 def test_success_is_read_under_both_names_and_absent_without():
