@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from nerf_rl.cameras.rig_config import CameraConfig, RingConfig
@@ -16,7 +16,7 @@ from nerf_rl.cameras.tracking_frame import TrackingFrame
 from nerf_rl.scenes.base import Scene, model_digest
 from nerf_rl.scenes.body_parts import can_travel, find_parts
 from nerf_rl.scenes.state_columns import StateColumns
-from nerf_rl.scenes.workspace import Workspace, around, fit_workspace, moving_balls
+from nerf_rl.scenes.workspace import Workspace, around_what_stays, fit_workspace, moving_balls, moving_geoms
 
 _EPISODES, _STEPS, _HOLD = 4, 40, 10  # from which the workspace is fitted
 _LEFT_OUT = 0.02  # of where things were then
@@ -66,13 +66,14 @@ class StructuredScene(Scene):
         """
         roots = (root for root in self.parts.robot if can_travel(self.model, root))
         base = next((name for root in roots if (name := self.model.body(root).name)), "")
-        frame, centres, radii = TrackingFrame(base), [], np.zeros(0)
-        for shown in self._random_states():
+        frame, centres, begins, radii = TrackingFrame(base), [], [], np.zeros(0)
+        for begin, shown in self._random_states():
             places, radii = moving_balls(self.model, shown)
             centres.append(places - frame.origin(shown.body(base).xpos) if base else places)
+            begins.append(begin)
         if not len(radii):
             return fit_workspace(self.model, self.render_data())
-        ball = around(np.stack(centres), radii, _LEFT_OUT)
+        ball = around_what_stays(np.stack(centres), radii, _LEFT_OUT, self._loose(), np.array(begins))
         if not base:
             return ball
         start = self.render_data().body(base).xpos
@@ -80,8 +81,17 @@ class StructuredScene(Scene):
         x, y, z = (round(float(value), 3) for value in centre - start)
         return dataclasses.replace(ball, centre=centre, floating_base=base, from_floating_base=(x, y, z))
 
-    def _random_states(self) -> Iterator[mujoco.MjData]:
-        """Yield states of random episodes, as long as they are finite; the scene is then as after its first reset."""
+    def _loose(self) -> Bool[ndarray, "G"]:
+        """Tell which of the moving geoms are of bodies that may go anywhere, and no robot's."""
+        roots = [int(self.model.body_rootid[self.model.geom_bodyid[geom]]) for geom in moving_geoms(self.model)]
+        loose = [root not in self.parts.robot and can_travel(self.model, root) for root in roots]
+        return np.array(loose, dtype=np.bool_)
+
+    def _random_states(self) -> Iterator[tuple[bool, mujoco.MjData]]:
+        """Yield states of random episodes, as long as they are finite, and whether an episode begins with them.
+
+        The scene is then as after its first reset.
+        """
         rng, space = np.random.default_rng(0), self.env.action_space
         low = high = np.zeros(0)
         if isinstance(space, gymnasium.spaces.Box):
@@ -90,7 +100,7 @@ class StructuredScene(Scene):
         steps = _STEPS if isinstance(space, gymnasium.spaces.Box) else 0
         for episode in range(_EPISODES):
             self.env.reset(seed=episode)
-            yield self.render_data()
+            yield True, self.render_data()
             for step in range(steps):
                 if step % _HOLD == 0:
                     action = rng.uniform(low, high).astype(np.float32)
@@ -98,5 +108,5 @@ class StructuredScene(Scene):
                 shown = self.render_data()
                 if terminated or truncated or not np.isfinite(shown.geom_xpos).all():
                     break
-                yield shown
+                yield False, shown
         self.env.reset(seed=0)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 DRAWN_GROUPS = 3  # MuJoCo draws geoms of groups 0, 1 and 2
@@ -62,9 +62,14 @@ def moving_balls(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Float[ndar
         model: of the scene.
         data: its state, with positions propagated.
     """
-    drawn = [geom for geom in range(model.ngeom) if is_drawn(model, geom) and model.geom_rbound[geom] > 0]
-    chosen = [geom for geom in drawn if model.body_weldid[model.geom_bodyid[geom]] != 0] or drawn
+    chosen = moving_geoms(model)
     return data.geom_xpos[chosen].copy(), model.geom_rbound[chosen].copy()
+
+
+def moving_geoms(model: mujoco.MjModel) -> list[int]:
+    """Return the drawn geoms of bodies that can move, or all that end if none can."""
+    drawn = [geom for geom in range(model.ngeom) if is_drawn(model, geom) and model.geom_rbound[geom] > 0]
+    return [geom for geom in drawn if model.body_weldid[model.geom_bodyid[geom]] != 0] or drawn
 
 
 def around(centres: Float[ndarray, "T G 3"], radii: Float[ndarray, "G"], left_out: float) -> Workspace:
@@ -81,6 +86,30 @@ def around(centres: Float[ndarray, "T G 3"], radii: Float[ndarray, "G"], left_ou
     centre = (low + high) / 2.0
     distances = np.linalg.norm(centres - centre, axis=-1) + radii
     return Workspace(centre, float(np.quantile(distances, 1.0 - left_out)))
+
+
+def around_what_stays(
+    centres: Float[ndarray, "T G 3"],
+    radii: Float[ndarray, "G"],
+    left_out: float,
+    loose: Bool[ndarray, "G"],
+    begins: Bool[ndarray, "T"],
+) -> Workspace:
+    """Return a ball around geoms in T states, without the ways of what fell out of the scene.
+
+    A block that slips from a hand without a floor below is metres away within a second, and cameras that saw all of its
+    way would show the hand as a dot. Where loose things make the ball more than twice as large as it is with them where
+    their episodes began, it is that one.
+
+    Args:
+        centres, radii, left_out: as of :func:`around`.
+        loose: which geoms are of bodies that may go anywhere, and no robot's.
+        begins: which states are an episode's first; the first of all is one.
+    """
+    ball = around(centres, radii, left_out)
+    first = np.flatnonzero(begins)[np.cumsum(begins) - 1]
+    kept = around(np.where(loose[:, None], centres[first], centres), radii, left_out)
+    return kept if ball.radius > 2.0 * kept.radius else ball
 
 
 def _of_the_model(model: mujoco.MjModel) -> tuple[Float[ndarray, "3"], float]:

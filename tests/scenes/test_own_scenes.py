@@ -235,3 +235,26 @@ def test_cameras_see_wherever_an_arm_and_its_target_come(tmp_path: Path):
         seen = np.einsum("nvij,nj->nvi", projections, points)
         pixels = seen[..., :2] / seen[..., 2:]
         assert ((pixels > 0) & (pixels < 32)).all(-1).mean() > 0.97
+
+
+def _arm_and_block(folder: Path, falls: bool) -> Path:
+    """Write a model of an arm and a block beside it that hangs in the air or falls out of the world."""
+    path = folder / f"{falls}.xml"
+    path.write_text(
+        f"""<mujoco><worldbody><body name="arm"><joint name="hinge" type="hinge" axis="0 1 0" range="-60 60"/>
+        <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02" mass="1"/></body>
+        <body name="block" pos="0.3 0.2 0.1" gravcomp="{0 if falls else 1}"><freejoint/>
+        <geom type="box" size="0.03 0.03 0.03"/></body></worldbody>
+        <actuator><position joint="hinge" kp="20" ctrlrange="-1 1"/></actuator></mujoco>"""
+    )
+    return path
+
+
+def test_cameras_stay_with_a_hand_when_what_it_held_falls_out_of_the_world(tmp_path: Path):
+    stays, falls = (make_scene(str(_arm_and_block(tmp_path, each))) for each in (False, True))
+    ball, same = stays.workspace(), falls.workspace()
+    np.testing.assert_allclose(same.centre, ball.centre, atol=0.05)
+    assert same.radius == pytest.approx(ball.radius, rel=0.15) and ball.radius < 0.5
+    for _ in range(40):
+        falls.env.step(np.zeros(1, np.float32))
+    assert falls.data.body("block").xpos[2] < -4 * same.radius
