@@ -6,6 +6,7 @@ from typing import Any
 
 import cv2
 import gymnasium
+import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
@@ -15,9 +16,12 @@ from nerf_rl.rendering.renderer import MultiViewRenderer
 from nerf_rl.rl.agents.policy import Policy
 from nerf_rl.rl.environments.make import make_env
 from nerf_rl.scenes.base import Scene
+from nerf_rl.scenes.workspace import Workspace, moving_geoms
 
 _FOVY = 45.0  # of the view for people [degrees]
 _AWAY = 1.1 / 0.9  # as far as a camera that just sees the workspace, and a little more
+_SIDES = ((25.0, -30.0), (115.0, -30.0), (205.0, -30.0), (295.0, -30.0), (25.0, -60.0), (25.0, -85.0))
+"""azimuths and elevations [degrees] to look from, the first unless a wall is in the way"""
 
 
 @dataclass
@@ -116,6 +120,8 @@ class _Camera:
         self._env, self._scene, self._size = env, scene, size
         self._workspace = None if scene is None else scene.workspace()  # before an episode begins
         self._renderer = MultiViewRenderer(scene.model, size, size, 1) if scene is not None else None
+        self._intrinsics = intrinsics_from_fovy(_FOVY, size, size)[None]
+        self._side: tuple[float, float] | None = None
 
     def picture(self) -> UInt8[ndarray, "S S 3"]:
         """Return what it sees now."""
@@ -126,15 +132,29 @@ class _Camera:
             top, left = (height - side) // 2, (width - side) // 2
             square = frame[top : top + side, left : left + side]
             return cv2.resize(square, (self._size, self._size), interpolation=cv2.INTER_AREA)
-        workspace, data = self._workspace, self._scene.render_data()
-        intrinsics = intrinsics_from_fovy(_FOVY, self._size, self._size)[None]
-        pose = look_at(workspace.centre_in(data), _AWAY * workspace.distance(_FOVY), 25.0, -30.0)[None]
-        return self._renderer.render_rgb(data, intrinsics, pose)[0]
+        data = self._scene.render_data()
+        if self._side is None:
+            self._side = self._free_side(self._scene.model, data, self._workspace, self._renderer)
+        pose = _pose(data, self._workspace, self._side)
+        return self._renderer.render_rgb(data, self._intrinsics, pose)[0]
+
+    def _free_side(
+        self, model: mujoco.MjModel, data: mujoco.MjData, workspace: Workspace, renderer: MultiViewRenderer
+    ) -> tuple[float, float]:
+        """Return the first side from which at least half as much of what moves is seen as from the best one."""
+        moving = moving_geoms(model)
+        looks = [renderer.render(data, self._intrinsics, _pose(data, workspace, side)).geom for side in _SIDES]
+        seen = [int(np.isin(look, moving).sum()) for look in looks]
+        return next(side for side, pixels in zip(_SIDES, seen, strict=True) if 2 * pixels >= max(seen))
 
     def close(self) -> None:
         """Release the renderer."""
         if self._renderer is not None:
             self._renderer.close()
+
+
+def _pose(data: mujoco.MjData, workspace: Workspace, side: tuple[float, float]) -> Float[ndarray, "1 4 4"]:
+    return look_at(workspace.centre_in(data), _AWAY * workspace.distance(_FOVY), *side)[None]
 
 
 def film(episode: Rollout) -> UInt8[ndarray, "T height width 3"]:
