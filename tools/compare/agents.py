@@ -31,7 +31,7 @@ INGREDIENTS = {
     "the recipe": [],
     "targets without bounds": ["--learner.bound_by_returns", "false"],
     "exploration that does not wait": ["--noise.wait_for_successes", "0"],
-    "imitation beyond the mean": ["--learner.imitation_weight", "0.5"],
+    "imitation beyond mean or critic": ["--learner.imitation_weight", "0.5"],
     "curriculum": ["--retry_share", "0.5", "--steps_after_success", "20"],
     "overtime": ["--success_overtime", "100"],
     "bonus": ["--success_bonus", "20"],

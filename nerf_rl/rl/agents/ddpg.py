@@ -202,8 +202,9 @@ class DDPG:
         """Climb Q(s, mu(s)); the critic's parameters are held still and receive no gradient.
 
         With ``learner.imitation_weight`` w the actor is drawn to what it once did where that brought more than episodes
-        do on the mean: w mean_i max(0, R_i - V(s_i)) |mu(s_i) - a_i|^2 / A joins the loss. One action's gradient does
-        not show a way out of a place of rest that takes several actions in turn; what once led out of it does.
+        do on the mean, or than the critic expects: w mean_i max(0, R_i - min(V, Q)) |mu(s_i) - a_i|^2 / A joins the
+        loss. One action's gradient does not show a way out of a place of rest that takes several actions in turn; what
+        once led out of it does.
 
         Args:
             batch: standardised.
@@ -219,7 +220,7 @@ class DDPG:
         loss = -value.mean() + self.learner.pre_tanh_penalty * magnitude
         metrics = {}
         if self.mean_return:
-            surplus = self._surplus(batch, self.mean_return)
+            surplus = self._surplus(batch, value.detach(), self.mean_return)
             imitation = (surplus * (action - batch.action).square().mean(-1)).mean()
             loss = loss + self.learner.imitation_weight * imitation
             metrics["surplus"] = surplus.mean().item()
@@ -240,25 +241,26 @@ class DDPG:
         self._slow_actor.follow()
         return metrics | {"clone_error": distance.item()}
 
-    def _surplus(self, batch: Batch, mean_return: MeanReturn) -> Float[Tensor, "B"]:
-        """Return max(0, R - V(s)) of each transition, what its episode brought beyond the mean; take one step with V.
+    def _surplus(self, batch: Batch, expected: Float[Tensor, "B"], mean_return: MeanReturn) -> Float[Tensor, "B"]:
+        """Return max(0, R - min(V(s), Q(s, mu(s)))) of each transition; take one step with V.
 
         V is fitted to what the episodes in memory brought, by the mean squared error, after "self-imitation learning"
-        (Oh et al. 2018). The critic's Q(s, mu(s)) in its place would hide what succeeded: after a first success it
-        expects too much of all that is like it.
+        (Oh et al. 2018). Neither of the two would do alone: after a first success a critic expects too much of all that
+        is like it, and V comes to know by heart what single episodes brought. Each hides what succeeded.
 
         Args:
             batch: with R, which is told of some transitions only; of others the surplus is 0.
+            expected: Q(s, mu(s)), without a gradient.
             mean_return: V.
         """
         told = batch.told
         brought = self.learner.reward_scale * batch.bound.where(told, 0.0)
         with self._gathering(mean_return):
             mean = mean_return(batch.observation)
-        beyond = (brought - mean).where(told, 0.0)
         assert self.return_optimiser is not None
-        self._step(self.return_optimiser, beyond.square().sum() / told.sum().clamp(min=1))
-        return beyond.detach().clamp(min=0.0)
+        loss = (brought - mean).where(told, 0.0).square().sum() / told.sum().clamp(min=1)
+        self._step(self.return_optimiser, loss)
+        return (brought - mean.detach().minimum(expected)).where(told, 0.0).clamp(min=0.0)
 
     def _distance(self, batch: Batch) -> Float[Tensor, ""]:
         """Return the mean squared distance of the actor's actions from those of a batch."""

@@ -13,10 +13,10 @@ UNKNOWN = torch.finfo(torch.float32).min
 DONE, SCALE, MEAN = 0.7, 0.5, 2.0
 
 
-def made(weight: float) -> DDPG:
+def made(weight: float, expected: float = 50.0) -> DDPG:
     """Return an agent whose critic says the same of every action, so that nothing else draws the actor anywhere.
 
-    Episodes are known to bring ``MEAN`` on the mean, wherever they go on from, and the critic expects a lot more.
+    Episodes are known to bring ``MEAN`` on the mean, wherever they go on from.
     """
     torch.manual_seed(0)
     learner = LearnerConfig(
@@ -24,7 +24,7 @@ def made(weight: float) -> DDPG:
     )
     agent = DDPG(3, 2, NetworkConfig(hidden=[32, 32], standardise=False), learner)
     torch.nn.init.zeros_(agent.critic.head.weight)
-    torch.nn.init.constant_(agent.critic.head.bias, 50.0)
+    torch.nn.init.constant_(agent.critic.head.bias, expected)
     if agent.mean_return:
         torch.nn.init.zeros_(agent.mean_return.head.weight)
         torch.nn.init.constant_(agent.mean_return.head.bias, MEAN)
@@ -51,8 +51,11 @@ def action_after(agent: DDPG, bound: float, updates: int = 200) -> torch.Tensor:
     return agent.actor(batch(bound).observation).detach()
 
 
-def test_the_actor_does_again_what_brought_more_than_the_mean_whatever_the_critic_expects() -> None:
-    assert (action_after(still(made(1.0)), bound=10.0) - DONE).abs().max() < 0.05
+@pytest.mark.parametrize(("expected", "bound"), [(50.0, 10.0), (-10.0, MEAN / SCALE - 1.0)], ids=["mean", "critic"])
+def test_the_actor_does_again_what_brought_more_than_the_mean_or_than_is_expected(
+    expected: float, bound: float
+) -> None:
+    assert (action_after(still(made(1.0, expected)), bound) - DONE).abs().max() < 0.05
 
 
 @pytest.mark.parametrize("bound", [MEAN / SCALE, -10.0, UNKNOWN], ids=["as much", "less", "unknown"])
