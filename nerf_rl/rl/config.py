@@ -146,8 +146,8 @@ class LearnerConfig:
     """let no step's target be less than what its episode brought from it on (He et al. 2017); for environments in which
     the same actions bring the same again"""
     imitation_weight: Annotated[float, Limits(least=0, most=10**6)] = 0.0
-    """draw the actor to its own past actions where their episodes brought more than those in memory do on the mean, or
-    than the critic expects (Oh et al. 2018, "self-imitation learning"), by so much, times this weight; 0 for never"""
+    """draw the actor to its own past actions where their episodes brought more than the critic expects of it now (Oh et
+    al. 2018, "self-imitation learning"), by so much, times this weight; 0 for never"""
     updates_per_step: Annotated[float, Limits(above=0, most=1000)] = 1.0
     """gradient updates per agent step"""
     reset_after: Natural = 0

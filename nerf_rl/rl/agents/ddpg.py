@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from nerf_rl.rl.agents.diagnosis import diagnose
-from nerf_rl.rl.agents.networks import Actor, Critic, MeanReturn
+from nerf_rl.rl.agents.networks import Actor, Critic
 from nerf_rl.rl.agents.normalisation import RunningNorm
 from nerf_rl.rl.agents.state import flat_state, load_flat_state
 from nerf_rl.rl.config import LearnerConfig, NetworkConfig
@@ -78,7 +78,6 @@ class DDPG:
         with contextlib.nullcontext() if device is None else torch.device(device):
             self.actor = Actor(*self._sizes, network)
             self.critic = Critic(*self._sizes, network)
-            self.mean_return = MeanReturn(self._sizes[0], network) if learner.imitation_weight > 0 else None
         self._slow_actor, self._slow_critic = (Target(each, learner.tau) for each in (self.actor, self.critic))
         self.target_actor, self.target_critic = self._slow_actor.copy, self._slow_critic.copy
         self._average = Target(self.actor, 1.0 / learner.policy_average) if learner.policy_average else None
@@ -86,10 +85,6 @@ class DDPG:
         self.critic_optimiser = torch.optim.Adam(self.critic.parameters(), lr=learner.critic_rate, fused=True)
         self.actor.eval()
         self.critic.eval()
-        self.return_optimiser = None
-        if self.mean_return:
-            returns = self.mean_return.eval().parameters()
-            self.return_optimiser = torch.optim.Adam(returns, lr=learner.critic_rate, fused=True)
 
     def reset(self) -> None:
         """Start anew with fresh networks (Nikishin et al. 2022); statistics of observations stay."""
@@ -201,11 +196,6 @@ class DDPG:
     def update_actor(self, batch: Batch, demonstrated: Batch | None = None) -> Metrics:
         """Climb Q(s, mu(s)); the critic's parameters are held still and receive no gradient.
 
-        With ``learner.imitation_weight`` w the actor is drawn to what it once did where that brought more than episodes
-        do on the mean, or than the critic expects: w mean_i max(0, R_i - min(V, Q)) |mu(s_i) - a_i|^2 / A joins the
-        loss. One action's gradient does not show a way out of a place of rest that takes several actions in turn; what
-        once led out of it does.
-
         Args:
             batch: standardised.
             demonstrated: not to go far from, for now: w mean|Q| mean (mu(s) - a)^2 joins the loss, after TD3+BC
@@ -219,11 +209,10 @@ class DDPG:
         value = self.critic(batch.observation, action)
         loss = -value.mean() + self.learner.pre_tanh_penalty * magnitude
         metrics = {}
-        if self.mean_return:
-            surplus = self._surplus(batch, value.detach(), self.mean_return)
-            imitation = (surplus * (action - batch.action).square().mean(-1)).mean()
+        if self.learner.imitation_weight > 0:
+            imitation, surplus = self._imitation(batch, action, value.detach())
             loss = loss + self.learner.imitation_weight * imitation
-            metrics["surplus"] = surplus.mean().item()
+            metrics["surplus"] = surplus.item()
         if distance is not None:
             loss = loss + self._clone_weight() * value.detach().abs().mean() * distance
         gradient = self._step(self.actor_optimiser, loss)
@@ -241,26 +230,21 @@ class DDPG:
         self._slow_actor.follow()
         return metrics | {"clone_error": distance.item()}
 
-    def _surplus(self, batch: Batch, expected: Float[Tensor, "B"], mean_return: MeanReturn) -> Float[Tensor, "B"]:
-        """Return max(0, R - min(V(s), Q(s, mu(s)))) of each transition; take one step with V.
+    def _imitation(
+        self, batch: Batch, action: Float[Tensor, "B A"], expected: Float[Tensor, "B"]
+    ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+        """Return mean max(0, R - Q(s, mu(s))) |mu(s) - a|^2 / A, and its first factor's mean.
 
-        V is fitted to what the episodes in memory brought, by the mean squared error, after "self-imitation learning"
-        (Oh et al. 2018). Neither of the two would do alone: after a first success a critic expects too much of all that
-        is like it, and V comes to know by heart what single episodes brought. Each hides what succeeded.
+        After "self-imitation learning" (Oh et al. 2018), for a deterministic policy: one action's gradient does not
+        show a way out of a place of rest that takes several actions in turn; what once led out of it does.
 
         Args:
-            batch: with R, which is told of some transitions only; of others the surplus is 0.
+            batch: with R and a.
+            action: mu(s).
             expected: Q(s, mu(s)), without a gradient.
-            mean_return: V.
         """
-        told = batch.told
-        brought = self.learner.reward_scale * batch.bound.where(told, 0.0)
-        with self._gathering(mean_return):
-            mean = mean_return(batch.observation)
-        assert self.return_optimiser is not None
-        loss = (brought - mean).where(told, 0.0).square().sum() / told.sum().clamp(min=1)
-        self._step(self.return_optimiser, loss)
-        return (brought - mean.detach().minimum(expected)).where(told, 0.0).clamp(min=0.0)
+        surplus = (self.learner.reward_scale * batch.bound - expected).clamp(min=0.0)
+        return (surplus * (action - batch.action).square().mean(-1)).mean(), surplus.mean()
 
     def _distance(self, batch: Batch) -> Float[Tensor, ""]:
         """Return the mean squared distance of the actor's actions from those of a batch."""
@@ -277,16 +261,11 @@ class DDPG:
 
     def _networks(self) -> dict[str, nn.Module]:
         names = ("norm", "actor", "critic", "target_actor", "target_critic")
-        networks = {name: getattr(self, name) for name in names}
-        if self._average:
-            networks["average_actor"] = self._average.copy
-        if self.mean_return:
-            networks["mean_return"] = self.mean_return
-        return networks
+        average = {"average_actor": self._average.copy} if self._average else {}
+        return {name: getattr(self, name) for name in names} | average
 
     def _optimisers(self) -> dict[str, torch.optim.Adam]:
-        optimisers = {"actor_optimiser": self.actor_optimiser, "critic_optimiser": self.critic_optimiser}
-        return optimisers | ({"return_optimiser": self.return_optimiser} if self.return_optimiser else {})
+        return {"actor_optimiser": self.actor_optimiser, "critic_optimiser": self.critic_optimiser}
 
     def _standardise(self, batch: Batch) -> Batch:
         """Return a batch on the networks' device, all but the places, with standardised observations."""

@@ -1,4 +1,4 @@
-"""Networks of DDPG, the action joining the critic after its first layer; and the plain actor of baselines."""
+"""Actor and critic of DDPG, the action joining the critic after its first layer; and the plain actor of baselines."""
 
 import itertools
 from dataclasses import dataclass
@@ -26,20 +26,21 @@ def _initialise(module: nn.Module, last: nn.Linear) -> None:
             nn.init.zeros_(layer.bias)
 
 
-def _trunk(inputs: int, config: NetworkConfig) -> nn.Sequential:
-    layers = nn.Sequential()
-    for before, after in itertools.pairwise([inputs, *config.hidden]):
-        layers.extend([nn.Linear(before, after), _normalisation(config.normalisation, after), nn.ReLU()])
-    return layers
-
-
 class Actor(nn.Module):
     """Deterministic policy: observation [B, O] to action [B, A] in (-1, 1)."""
 
     def __init__(self, observation_size: int, action_size: int, config: NetworkConfig):
         super().__init__()
-        self.trunk = _trunk(observation_size, config)
-        self.head = nn.Linear(config.hidden[-1], action_size)
+        first, second = config.hidden
+        self.trunk = nn.Sequential(
+            nn.Linear(observation_size, first),
+            _normalisation(config.normalisation, first),
+            nn.ReLU(),
+            nn.Linear(first, second),
+            _normalisation(config.normalisation, second),
+            nn.ReLU(),
+        )
+        self.head = nn.Linear(second, action_size)
         _initialise(self, self.head)
 
     def pre_tanh(self, observation: Float[Tensor, "B O"]) -> Float[Tensor, "B A"]:
@@ -70,20 +71,6 @@ class Critic(nn.Module):
         """Return the value, without a trailing dimension, so that it meets weights [B] element by element."""
         hidden = self.join(torch.cat([self.observe(observation), action], dim=-1))
         return self.head(hidden).squeeze(-1)
-
-
-class MeanReturn(nn.Module):
-    """Observation [B, O] to what episodes brought from there on, on the mean [B]."""
-
-    def __init__(self, observation_size: int, config: NetworkConfig):
-        super().__init__()
-        self.trunk = _trunk(observation_size, config)
-        self.head = nn.Linear(config.hidden[-1], 1)
-        _initialise(self, self.head)
-
-    def forward(self, observation: Float[Tensor, "B O"]) -> Float[Tensor, "B"]:
-        """Return the mean, without a trailing dimension."""
-        return self.head(self.trunk(observation)).squeeze(-1)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 from torch import Tensor
 from torchrl.data import LazyMemmapStorage, ReplayBuffer
@@ -18,7 +18,7 @@ from nerf_rl.errors import BEGIN_ANEW, MissingFileError, UserError
 from nerf_rl.files.tensor_files import require_tensors
 from nerf_rl.rl.config import ReplayConfig
 from nerf_rl.rl.experience.n_step import Transition
-from nerf_rl.rl.experience.returns_to_go import returns_to_go, value_behind
+from nerf_rl.rl.experience.returns_to_go import returns_to_go
 
 _UNKNOWN = torch.finfo(torch.float32).min  # finite, as all numbers of a checkpoint are
 
@@ -39,11 +39,6 @@ class Batch(NamedTuple):
     next_observation: Float[Tensor, "B O"]
     bound: Float[Tensor, "B"]
     """what the transition's episode brought from it on, discounted; the least number where nothing is known"""
-
-    @property
-    def told(self) -> Bool[Tensor, "B"]:
-        """Of which transitions it is known what their episodes brought."""
-        return self.bound > _UNKNOWN
 
 
 class Replay:
@@ -280,7 +275,7 @@ class Replay:
             return
         parts = self._gather_rows(index).split(self._split, dim=-1)
         reward, discount, next_observation = (part.numpy() for part in parts[2:])
-        last_value = value_behind(reward[:, 0], discount[:, 0], self._bounded_steps, value(next_observation[-1]))
+        last_value = value(next_observation[-1])
         found = returns_to_go(reward[:, 0], discount[:, 0], self._bounded_steps, last_value)
         self._bounds[index] = torch.from_numpy(found).float()
 

@@ -23,19 +23,3 @@ def returns_to_go(
     for t in reversed(range(len(reward))):
         found[t] = reward[t] + discount[t] * (found[t + steps] if t + steps < len(reward) else last_value)
     return found
-
-
-def value_behind(reward: Float[ndarray, "T"], discount: Float[ndarray, "T"], steps: int, expected: float) -> float:
-    """Return what may be counted on behind the end of an episode: no more than its last n steps, over and over.
-
-    What the critic expects there is not taken for more than that. What an episode brought bounds the critic's targets
-    from below, so a critic that expects too much would be confirmed by each episode that the clock ends, for as long
-    as the episode is in memory.
-
-    Args:
-        reward, discount, steps: as of :func:`returns_to_go`.
-        expected: of the last observation, by the critic.
-    """
-    last = max(0, len(reward) - steps)
-    lost = 1.0 - discount[last]
-    return min(expected, float(reward[last] / lost)) if lost > 0 else expected

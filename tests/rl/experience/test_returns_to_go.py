@@ -13,7 +13,7 @@ from nerf_rl.rl.agents.ddpg import DDPG
 from nerf_rl.rl.config import LearnerConfig, NetworkConfig, ReplayConfig
 from nerf_rl.rl.experience.n_step import NStep, Transition
 from nerf_rl.rl.experience.replay import Replay
-from nerf_rl.rl.experience.returns_to_go import returns_to_go, value_behind
+from nerf_rl.rl.experience.returns_to_go import returns_to_go
 
 GAMMA, LENGTH, LAST = 0.9, 7, 5.0
 
@@ -55,27 +55,6 @@ def test_they_are_the_discounted_rewards_to_the_end_whatever_transitions_span(n:
     rows = transitions(n, terminated)
     reward, discount = (np.array([getattr(row, name) for row in rows]) for name in ("reward", "discount"))
     np.testing.assert_allclose(returns_to_go(reward, discount, n, LAST), expected(terminated))
-
-
-@pytest.mark.parametrize("n", [1, 3, LENGTH, LENGTH + 2])
-def test_no_more_is_counted_on_behind_the_end_than_the_last_steps_over_and_over(n: int) -> None:
-    rows = transitions(n, False)
-    reward, discount = (np.array([getattr(row, name) for row in rows]) for name in ("reward", "discount"))
-    last = np.arange(LENGTH, 0, -1)[: min(n, LENGTH)][::-1]
-    for_ever = sum(GAMMA**t * last[t % len(last)] for t in range(1000))
-    assert value_behind(reward, discount, n, 1000.0) == pytest.approx(for_ever)
-    assert value_behind(reward, discount, n, 5.0) == 5.0
-    assert value_behind(reward, np.ones(LENGTH), n, 1000.0) == 1000.0  # without a discount they have no sum
-    assert value_behind(-reward, discount, n, -5.0) == pytest.approx(-for_ever)
-
-
-def test_a_critic_that_expects_too_much_is_not_confirmed_by_the_clock(tmp_path: Path) -> None:
-    replay = memory(tmp_path / "replay", 3)
-    replay.add(transitions(3, False), 0)
-    replay.end_episode(0, lambda _: 1e6)
-    rest = (LENGTH - 2 + GAMMA * (LENGTH - 1) + GAMMA**2 * LENGTH) / (1 - GAMMA**3)
-    assert bounds(replay)[LENGTH - 1.0] == pytest.approx(LENGTH + GAMMA * rest)
-    replay.close()
 
 
 def test_memory_tells_them_once_the_episode_is_over_and_of_no_other(tmp_path: Path) -> None:
