@@ -99,7 +99,7 @@ def around_what_stays(
 
     A block that slips from a hand without a floor below is metres away within a second, and cameras that saw all of its
     way would show the hand as a dot. Where loose things make the ball more than twice as large as it is with them where
-    their episodes began, it is that one.
+    their episodes began, it is that one; but dice that are all that there is are looked for where they fall to.
 
     Args:
         centres, radii, left_out: as of :func:`around`.
@@ -107,6 +107,8 @@ def around_what_stays(
         begins: which states are an episode's first; the first of all is one.
     """
     ball = around(centres, radii, left_out)
+    if loose.all():
+        return ball
     first = np.flatnonzero(begins)[np.cumsum(begins) - 1]
     kept = around(np.where(loose[:, None], centres[first], centres), radii, left_out)
     return kept if ball.radius > 2.0 * kept.radius else ball

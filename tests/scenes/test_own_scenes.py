@@ -258,3 +258,17 @@ def test_cameras_stay_with_a_hand_when_what_it_held_falls_out_of_the_world(tmp_p
     for _ in range(40):
         falls.env.step(np.zeros(1, np.float32))
     assert falls.data.body("block").xpos[2] < -4 * same.radius
+
+
+def test_cameras_see_where_dice_fall_to(tmp_path: Path):
+    path = tmp_path / "dice.xml"
+    die = '<body pos="{} 0 1"><freejoint/><geom type="box" size="0.02 0.02 0.02"/></body>'
+    floor = '<geom type="plane" size="1 1 0.1"/>'
+    path.write_text(f"<mujoco><worldbody>{floor}{die.format(-0.1)}{die.format(0.1)}</worldbody></mujoco>")
+    scene = make_scene(str(path))
+    ball = scene.workspace()
+    for _ in range(40):
+        scene.env.step(np.zeros(0, np.float32))
+    fallen = scene.data.geom_xpos[1:]
+    assert fallen[:, 2].max() < 0.1
+    assert np.linalg.norm(fallen - ball.centre, axis=-1).max() < ball.radius
