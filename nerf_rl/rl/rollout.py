@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
-from nerf_rl.cameras.geometry import intrinsics_from_fovy, look_at
+from nerf_rl.cameras.geometry import camera_position, intrinsics_from_fovy, look_at
 from nerf_rl.rendering.renderer import MultiViewRenderer
 from nerf_rl.rl.agents.policy import Policy
 from nerf_rl.rl.environments.make import make_env
 from nerf_rl.scenes.base import Scene
-from nerf_rl.scenes.workspace import Workspace, moving_geoms
+from nerf_rl.scenes.workspace import DRAWN_GROUPS, Workspace, moving_geoms
 
 _FOVY = 45.0  # of the view for people [degrees]
 _AWAY = 1.1 / 0.9  # as far as a camera that just sees the workspace, and a little more
@@ -134,23 +134,32 @@ class _Camera:
             return cv2.resize(square, (self._size, self._size), interpolation=cv2.INTER_AREA)
         data = self._scene.render_data()
         if self._side is None:
-            self._side = self._free_side(self._scene.model, data, self._workspace, self._renderer)
+            self._side = _free_side(self._scene.model, data, self._workspace)
         pose = _pose(data, self._workspace, self._side)
         return self._renderer.render_rgb(data, self._intrinsics, pose)[0]
-
-    def _free_side(
-        self, model: mujoco.MjModel, data: mujoco.MjData, workspace: Workspace, renderer: MultiViewRenderer
-    ) -> tuple[float, float]:
-        """Return the first side from which at least half as much of what moves is seen as from the best one."""
-        moving = moving_geoms(model)
-        looks = [renderer.render(data, self._intrinsics, _pose(data, workspace, side)).geom for side in _SIDES]
-        seen = [int(np.isin(look, moving).sum()) for look in looks]
-        return next(side for side, pixels in zip(_SIDES, seen, strict=True) if 2 * pixels >= max(seen))
 
     def close(self) -> None:
         """Release the renderer."""
         if self._renderer is not None:
             self._renderer.close()
+
+
+def _free_side(model: mujoco.MjModel, data: mujoco.MjData, workspace: Workspace) -> tuple[float, float]:
+    """Return the first side from which at least half as many geoms that move are in sight as from the best one."""
+    moving = moving_geoms(model)
+    drawn = (np.arange(mujoco.mjNGROUP) < DRAWN_GROUPS).astype(np.uint8)
+    hit = np.zeros(1, np.int32)
+
+    def in_sight(side: tuple[float, float]) -> int:
+        eye = camera_position(_pose(data, workspace, side))[0]
+        seen = 0
+        for place in data.geom_xpos[moving]:
+            distance = mujoco.mj_ray(model, data, eye, place - eye, drawn, 1, -1, hit)  # 1 at the place
+            seen += not 0.0 <= distance < 1.0 or int(hit[0]) in moving
+        return seen
+
+    seen = [in_sight(side) for side in _SIDES]
+    return next(side for side, geoms in zip(_SIDES, seen, strict=True) if 2 * geoms >= max(seen))
 
 
 def _pose(data: mujoco.MjData, workspace: Workspace, side: tuple[float, float]) -> Float[ndarray, "1 4 4"]:
