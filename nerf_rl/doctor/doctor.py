@@ -18,6 +18,7 @@ from nerf_rl.errors import FailureError
 from nerf_rl.files.json_files import write_json
 from nerf_rl.files.outputs import plain
 from nerf_rl.files.versions import package_versions
+from nerf_rl.machine.cores import usable_cores
 
 BACKENDS = {
     "egl": "apt install libegl1 libopengl0 libgl1-mesa-dri",
@@ -54,7 +55,7 @@ def doctor(config: DoctorConfig) -> None:
 
 def probed(timeout: float) -> Iterable[Finding]:
     """Try out rendering, torch and the extras, each in a process of its own, and then the commands themselves."""
-    usable = len(os.sched_getaffinity(0))
+    usable = usable_cores()
     with ThreadPoolExecutor(max(2, usable)) as pool:
         torch = pool.submit(run_probe, "torch", timeout)
         backends = {name: pool.submit(run_probe, "rendering", timeout, name) for name in BACKENDS}
@@ -117,7 +118,7 @@ def torch_pair(probe: dict) -> Finding:
 
 def machine() -> Finding:
     """Report processors and threads."""
-    usable, threads = len(os.sched_getaffinity(0)), os.environ.get("OMP_NUM_THREADS")
+    usable, threads = usable_cores(), os.environ.get("OMP_NUM_THREADS")
     limit = f", OMP_NUM_THREADS={threads}" if threads else ""
     return Finding("processors", "ok", f"{usable} of {os.cpu_count()} may be used{limit}; use --workers {usable}")
 

@@ -1,10 +1,11 @@
 """Which code a result was made by, and on what processor."""
 
 import importlib.metadata
-import os
 import platform
 import subprocess
 from pathlib import Path
+
+from nerf_rl.machine.cores import usable_cores
 
 _RECORDED_PACKAGES = ("torch", "torchrl", "lightning", "mujoco", "metaworld", "gymnasium", "h5py", "numpy", "optuna")
 
@@ -43,6 +44,6 @@ def processor(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
     """
     text = cpuinfo.read_text() if cpuinfo.exists() else ""
     name = text.partition("model name")[2].partition(":")[2].partition("\n")[0].strip() or platform.machine()
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    cores = usable_cores()
     flags = [flag for flag in ("avx512_bf16", "amx_bf16") if f" {flag}" in text]
     return f"{name}, {cores} cores ({', '.join(flags) or 'without bfloat16'})"

@@ -1,6 +1,5 @@
 """How batches reach the training loop: an epoch of steps, prepared while the device works."""
 
-import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -10,6 +9,7 @@ import numpy as np
 from torch.utils.data import DataLoader, Dataset
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.machine.cores import usable_cores
 from nerf_rl.pretrain.config import FIELD, PretrainConfig
 from nerf_rl.pretrain.data.batches import RayBatches
 from nerf_rl.pretrain.data.statistics import measure
@@ -88,7 +88,7 @@ class MultiViewDataModule(lightning.LightningDataModule):
         super().__init__()
         self._dataset, self._config, self._rank, self._ranks = dataset, config, rank, ranks
         self._on_gpu = on_gpu
-        usual = min(_WORKERS_OF_A_GPU, len(os.sched_getaffinity(0))) if on_gpu else 0
+        usual = min(_WORKERS_OF_A_GPU, usable_cores()) if on_gpu else 0
         self._workers = usual if config.loader_workers is None else config.loader_workers
         self.statistics = measure(dataset, config)
         self.rig = EncoderRig.of_dataset(dataset)

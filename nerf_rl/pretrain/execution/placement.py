@@ -1,7 +1,5 @@
 """On which devices a run trains, and how Lightning is told."""
 
-import os
-
 import torch
 from lightning.fabric.plugins.environments import (
     ClusterEnvironment,
@@ -12,6 +10,7 @@ from lightning.fabric.plugins.environments import (
 from lightning.pytorch.utilities.rank_zero import rank_zero_only
 
 from nerf_rl.errors import UserError
+from nerf_rl.machine.cores import usable_cores
 from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.execution.launch import rank_from_outside
 
@@ -53,7 +52,7 @@ def environment(config: PretrainConfig) -> ClusterEnvironment:
 def thread_count(config: PretrainConfig, accelerator: str) -> int | None:
     """Return the CPU threads of a process; None leaves them to PyTorch."""
     if config.threads is None and accelerator == "cpu" and config.devices > 1:
-        return max(1, len(os.sched_getaffinity(0)) // config.devices)
+        return max(1, usable_cores() // config.devices)
     return config.threads
 
 

@@ -1,7 +1,6 @@
 """Rendering a radiance field for a camera that moves: coarse at once, fine where the coarse image saw something."""
 
 import functools
-import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from nerf_rl.cameras.geometry import camera_position, pixel_centres, pixel_directions
+from nerf_rl.machine.cores import usable_cores
 from nerf_rl.pretrain.model.conditioned_field import ConditionedField
 from nerf_rl.pretrain.model.ray_rendering import RenderedImages
 from nerf_rl.pretrain.model.volume_rendering import (
@@ -175,7 +175,7 @@ def _threads() -> ThreadPoolExecutor:
 
 
 def _thread_count() -> int:
-    return min(_MOST_THREADS, len(os.sched_getaffinity(0)))
+    return min(_MOST_THREADS, usable_cores())
 
 
 def _render_twice(field: ConditionedField, origin: Tensor, directions: Tensor, depths: Float[Tensor, "R S"]) -> _Rays:

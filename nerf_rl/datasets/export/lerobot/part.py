@@ -1,7 +1,6 @@
 """Neighbouring episodes in one file of each kind: numbers, and videos of each camera's colours, depth and labels."""
 
 import contextlib
-import os
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -22,6 +21,7 @@ from nerf_rl.datasets.export.lerobot.statistics import Statistics, of_histograms
 from nerf_rl.datasets.export.lerobot.tables import open_frames
 from nerf_rl.datasets.export.lerobot.videos import DEPTH, Codec, Video, colours, open_video
 from nerf_rl.datasets.export.lerobot.videos import LABELS as LABEL_CODEC
+from nerf_rl.machine.cores import usable_cores
 
 _COUNTED = 150  # pixels along an edge that statistics look at, as LeRobot's do
 _BYTES = np.linspace(0.0, 1.0, 256)
@@ -34,7 +34,7 @@ class Part:
     def __init__(self, plan: Plan, number: int, videos: dict[str, Video], append: Callable):
         self._plan, self._number, self._videos, self._append = plan, number, videos, append
         self._frames = 0
-        self._pool = ThreadPoolExecutor(len(os.sched_getaffinity(0)))
+        self._pool = ThreadPoolExecutor(usable_cores())
 
     def has_room(self, episode: Episode) -> bool:
         """Tell whether another episode fits; the first one always does."""
