@@ -30,13 +30,20 @@ def one_thread() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def server_of_environments() -> None:
-    """Let processes of environments be forks of one that has imported what agents with eyes need, whoever asks first.
+def server_of_workers() -> None:
+    """Let all worker processes be forks of one that has imported what any of them needs, whoever asks first.
 
-    After an agent without eyes, each later process would import PyTorch, which takes seconds.
+    After one that needs little, each later one would import PyTorch, which takes seconds.
     """
-    environments = "nerf_rl.rl.environments"
-    start_server([f"{environments}.{name}" for name in ("make", "observation", "controls")] + ["metaworld"])
+    names = ("rl.environments.make", "rl.environments.observation", "rl.environments.controls", "rl.training.loop")
+    names += (
+        "datasets.generation.workers",
+        "scenes.metaworld",
+        "tuning.objective",
+        "tuning.worker",
+        "pretrain.fitting",
+    )
+    start_server([f"nerf_rl.{name}" for name in names])
 
 
 @pytest.fixture(scope="session")

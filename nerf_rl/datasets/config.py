@@ -89,8 +89,8 @@ class GenDatasetConfig:
     """episodes in a shard file"""
     workers: Processes = 2
     """render processes"""
-    backend: str = "loky"
-    """where they run: loky: on this machine; ray: on a Ray cluster (extra 'ray'; RAY_ADDRESS names it)"""
+    backend: str = "local"
+    """where they run: local: on this machine; ray: on a Ray cluster (extra 'ray'; RAY_ADDRESS names it)"""
     worker_timeout: Annotated[float, Limits(above=0, most=10**7)] = 120.0
     """a render process that gets no frame done for so long is ended, and its shard rendered anew [s]"""
     shard: str = ""
@@ -108,7 +108,7 @@ class GenDatasetConfig:
         check_values(self)
         if -(-self.episodes // self.episodes_per_shard) > MOST_SHARDS:
             raise UserError(f"a dataset has at most {MOST_SHARDS} shards; use a larger --episodes_per_shard")
-        check_backend(self.backend, self.workers)
+        check_backend(self.backend)
         self.share()
         if self.frames_per_episode > self.episode_steps + 1:
             raise UserError(

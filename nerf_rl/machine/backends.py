@@ -1,14 +1,14 @@
 """Where worker processes run, by name; :mod:`nerf_rl.machine.worker_pools` starts them."""
 
-from nerf_rl.errors import UnknownNameError, UserError
+from nerf_rl.errors import UnknownNameError
 
-BACKENDS = ("loky", "ray")
+LOCAL, RAY = "local", "ray"
+BACKENDS = (LOCAL, RAY)
 """processes of this machine, or of a Ray cluster"""
+_EARLIER = ("loky",)  # what recipes and runs of earlier versions call local
 
 
-def check_backend(name: str, workers: int | None) -> None:
-    """Raise UserError if there is no such backend, or if it cannot have so few workers; None lets it choose."""
-    if name not in BACKENDS:
+def check_backend(name: str) -> None:
+    """Raise UnknownNameError if there is no such backend."""
+    if name not in (*BACKENDS, *_EARLIER):
         raise UnknownNameError("backend", name, BACKENDS)
-    if name == "ray" and workers == 1:
-        raise UserError("--backend ray needs at least 2 --workers; use --backend loky for one")

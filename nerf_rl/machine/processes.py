@@ -7,6 +7,9 @@ import signal
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from multiprocessing import resource_tracker
+from multiprocessing.process import BaseProcess
+from typing import Any
 
 from nerf_rl.machine.gl import use_one_software_thread
 
@@ -47,6 +50,11 @@ def start_method(modules: Sequence[str]) -> str:
     return FORK_SERVER
 
 
+def worker_context(modules: Sequence[str]) -> Any:
+    """Return multiprocessing's context whose processes are started by :func:`start_method`, with its arguments."""
+    return multiprocessing.get_context(start_method(modules))
+
+
 def start_server(modules: Sequence[str]) -> None:
     """Let the server of :func:`start_method` begin its imports, while this process goes on with its own.
 
@@ -67,9 +75,26 @@ def start_worker() -> None:
     end_with_parent()
 
 
+def tidy_up_alone() -> None:
+    """Let what this process shares with its children be tidied up by a process of its own once they are gone.
+
+    A fork of a server leaves that to the process which started it, which then complains of what a killed fork has left.
+    Nothing public tells multiprocessing so; this was checked with Python 3.11, and where it does nothing, only the
+    complaint is back.
+    """
+    resource_tracker._resource_tracker._fd = None  # type: ignore[attr-defined]
+
+
 def end_with_parent() -> None:
     """End this process soon after the one that started it has gone, however it went."""
-    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+    started_by = multiprocessing.parent_process()
+    target, arguments = (_end_after, (started_by,)) if started_by else (_end_with, (os.getppid(),))
+    threading.Thread(target=target, args=arguments, daemon=True).start()
+
+
+def _end_after(parent: BaseProcess) -> None:
+    parent.join()  # not the server that this process may be a fork of, which lives as long as its forks do
+    os._exit(1)
 
 
 def _end_with(parent: int) -> None:

@@ -1,89 +1,122 @@
-"""The processes that joblib hands work to: on this machine by loky, on a cluster by Ray.
+"""The processes that calls are handed to: on this machine forks of a clean server, on a cluster Ray's.
 
 Both are processes even if there is one worker only, because a process can be ended and replaced when it hangs, and this
-one cannot. OpenGL contexts do not survive a fork; loky and Ray start processes afresh.
+one cannot. OpenGL contexts do not survive a fork; the server that local processes are forks of has none.
 """
 
 import contextlib
+import itertools
+import multiprocessing
 import os
-import warnings
-from collections.abc import Callable, Generator, Iterable
-from typing import Any, TypeAlias, TypeVar
-
-from joblib import Parallel
-from joblib._parallel_backends import LokyBackend, ParallelBackendBase
-from joblib.executor import get_memmapping_executor
-from joblib.externals.loky.process_executor import BrokenProcessPool
+from collections.abc import Callable, Generator, Iterable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from nerf_rl.errors import UserError
 from nerf_rl.machine.extras import import_extra
-from nerf_rl.machine.processes import ignore_sigint, start_worker
+from nerf_rl.machine.processes import ignore_sigint, start_worker, worker_context
 
 MOST_DEATHS = 3
-"""in a row, without a finished piece of work in between, after which to give up"""
-Backend: TypeAlias = ParallelBackendBase
-"""of joblib; its class is public in all but its module's name"""
+"""in a row, without a finished call in between, after which to give up"""
+_WAITING = 2  # calls that are handed out for each worker, so that none waits for its next one
 Result = TypeVar("Result")
+Call = Callable[[], Result]
+"""Can be pickled, as can its result."""
 
 
-class LocalProcesses(LokyBackend):
-    """joblib's loky backend, whose processes are ended with the work and are not left to idle."""
+@runtime_checkable
+class Pool(Protocol):
+    """Processes that calls are handed to."""
 
-    def configure(
-        self, n_jobs: int = 1, parallel: Any = None, prefer: Any = None, require: Any = None, **options: Any
-    ) -> int:
-        """Prepare to start ``n_jobs`` processes."""
-        self._workers = get_memmapping_executor(
-            n_jobs, env=self._prepare_worker_env(n_jobs), initializer=start_worker, context_id=parallel._id
-        )
-        self._started = False
-        self.parallel = parallel
-        return max(n_jobs, 2)  # joblib would take one job as none of its own process
+    deaths: tuple[type[Exception], ...]
+    """errors by which it tells that a process died"""
 
-    def submit(self, func: Callable[[], Any], callback: Callable[[Any], Any] | None = None) -> Any:
-        """Hand work over; the first piece is what starts the processes.
+    def as_they_end(self, calls: Iterable[Call[Result]], workers: int) -> Generator[Result, None, None]:
+        """Yield the results of calls in the order in which they end, ``workers`` running at a time.
 
-        Nothing is handed over before it to start them sooner: loky compares a process's memory with what it was after
-        its first piece of work, and replaces one that has 300 MB more by another, which begins with its imports again.
+        Close the iterator to end early: what still runs is ended. An error of a call is raised here.
         """
-        starts, self._started = not self._started, True
-        with ignore_sigint() if starts else contextlib.nullcontext():
-            return super().submit(func, callback)
-
-    def terminate(self) -> None:
-        """End the processes."""
-        if self._workers is not None:
-            self._workers.terminate()
-            self._workers = None
-        self.reset_batch_stats()
+        ...
 
 
-def open_backend(name: str) -> tuple[Backend, tuple[type[Exception], ...]]:
-    """Return the joblib backend, and the errors by which it tells that a process died.
+class LocalProcesses:
+    """Processes of this machine: forks of a server that has imported what they need, ended with the work."""
 
-    Args:
-        name: ``loky`` or ``ray``.
+    deaths: tuple[type[Exception], ...] = (BrokenProcessPool,)
+
+    def __init__(self, modules: Sequence[str]):
+        self._modules = modules
+
+    def as_they_end(self, calls: Iterable[Call[Result]], workers: int) -> Generator[Result, None, None]:
+        """See :class:`Pool`; if a process dies, all end."""
+        context = worker_context(self._modules)
+        others = set(multiprocessing.active_children())
+        pool = ProcessPoolExecutor(workers, context, initializer=start_worker)
+        left, running = iter(calls), set[Future[Result]]()
+        try:
+            while True:
+                with ignore_sigint():  # handing a call over may start a process
+                    running |= {pool.submit(call) for call in itertools.islice(left, _WAITING * workers - len(running))}
+                if not running:
+                    return
+                ended, running = wait(running, return_when=FIRST_COMPLETED)
+                for future in ended:
+                    yield future.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in set(multiprocessing.active_children()) - others:
+                process.kill()
+            pool.shutdown()
+
+
+class RayProcesses:
+    """Processes of the Ray cluster that ``RAY_ADDRESS`` names, or of the one that this machine is part of.
 
     Raises:
         UserError: Ray is not installed or no cluster answers.
     """
-    if name == "loky":
-        return LocalProcesses(), (BrokenProcessPool,)
-    return _connect_to_ray()
+
+    def __init__(self) -> None:
+        self._ray = ray = import_extra("ray", "ray", "--backend ray")
+        self.deaths: tuple[type[Exception], ...] = (ray.exceptions.RayError,)
+        if not ray.is_initialized():
+            address = os.environ.get("RAY_ADDRESS", "auto")
+            try:
+                ray.init(address=address, log_to_driver=False, logging_level="ERROR")
+            except ConnectionError as error:
+                raise UserError(
+                    f"no Ray cluster answers at '{address}'; start one with ray start --head, or set RAY_ADDRESS"
+                ) from error
+
+    def processors(self) -> int:
+        """Return how many processors the cluster has."""
+        return int(self._ray.cluster_resources().get("CPU", 1))
+
+    def as_they_end(self, calls: Iterable[Call[Result]], workers: int) -> Generator[Result, None, None]:
+        """See :class:`Pool`; if a process dies, the others are ended."""
+        remote = self._ray.remote(max_retries=0)(_do)
+        left, running = iter(calls), list[Any]()
+        try:
+            while True:
+                running += [remote.remote(call) for call in itertools.islice(left, workers - len(running))]
+                if not running:
+                    return
+                ended, running = self._ray.wait(running)
+                yield self._result(ended[0])
+        finally:
+            for reference in running:
+                self._ray.cancel(reference, force=True)
+
+    def _result(self, reference: Any) -> Any:
+        try:
+            return self._ray.get(reference)
+        except self._ray.exceptions.RayTaskError as error:  # the call's own error, which is no death
+            raise error.cause from error
 
 
-def as_they_end(calls: Iterable[Any], workers: int, backend: Backend) -> Generator[Any, None, None]:
-    """Yield the results of ``joblib.delayed`` calls in the order in which they end, ``workers`` running at a time.
-
-    Close the iterator to end early: all processes are ended.
-    """
-    parallel = Parallel(
-        workers, backend=backend, return_as="generator_unordered", batch_size=1, pre_dispatch=2 * workers
-    )
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*(tasks|worker)")  # joblib and loky tell of an early end
-        with contextlib.closing(parallel(calls)) as results:
-            yield from results
+def _do(call: Call[Result]) -> Result:
+    return call()
 
 
 def through_deaths(
@@ -93,12 +126,12 @@ def through_deaths(
     deaths: tuple[type[Exception], ...],
     after_death: Callable[[int], None],
 ) -> Generator[Result, None, None]:
-    """Attempt numbered pieces of work again, as processes die, until none is missing; yields the result of each.
+    """Attempt numbered calls again, as processes die, until none is missing; yields the result of each.
 
     Args:
-        missing: numbers of the pieces; those that are done leave it.
-        attempt: begins work on the pieces that it is given.
-        number: tells which piece a result is of.
+        missing: numbers of the calls; those that are done leave it.
+        attempt: begins the calls whose numbers it is given.
+        number: tells which call a result is of.
         deaths: errors by which an attempt tells that a process died.
         after_death: called with the deaths in a row so far; may change the order of ``missing``, and raises an error if
             there were too many of them (``MOST_DEATHS``).
@@ -114,23 +147,3 @@ def through_deaths(
         except deaths:
             in_a_row += 1
             after_death(in_a_row)
-
-
-def _connect_to_ray() -> tuple[Backend, tuple[type[Exception], ...]]:
-    ray = import_extra("ray", "ray", "--backend ray")
-    from ray.util.joblib.ray_backend import RayBackend
-
-    class RayProcesses(RayBackend):
-        """Ray's joblib backend, which hands results over as they come."""
-
-        supports_return_generator = True
-
-    if not ray.is_initialized():
-        address = os.environ.get("RAY_ADDRESS", "auto")
-        try:
-            ray.init(address=address, log_to_driver=False, logging_level="ERROR")
-        except ConnectionError as error:
-            raise UserError(
-                f"no Ray cluster answers at '{address}'; start one with ray start --head, or set RAY_ADDRESS"
-            ) from error
-    return RayProcesses(), (ray.exceptions.RayError,)

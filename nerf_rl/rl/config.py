@@ -281,8 +281,8 @@ class TrainRLConfig:
     """a run for each of several seeds instead, such as 0..19 or 0,3,5: in seed-N of out, with a summary of all"""
     workers: Processes | None = None
     """with seeds: how many are trained at a time; by default as many as there are cores, or threads of them each"""
-    backend: str = "loky"
-    """with seeds: where: loky: on this machine; ray: on a Ray cluster (extra 'ray'; RAY_ADDRESS names it)"""
+    backend: str = "local"
+    """with seeds: where: local: on this machine; ray: on a Ray cluster (extra 'ray'; RAY_ADDRESS names it)"""
     threads: Processes = 1
     """threads of the learner; the environments have one each"""
     device: str = "cpu"
@@ -350,6 +350,6 @@ class TrainRLConfig:
             )
 
     def _check_seeds(self) -> None:
-        check_backend(self.backend, self.workers)
+        check_backend(self.backend)
         if self.seeds and parse_seeds(self.seeds) and self.seed:
             raise UserError(f"--seeds {self.seeds} leaves no room for --seed {self.seed}; give one of them")

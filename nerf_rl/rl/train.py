@@ -17,6 +17,7 @@ from nerf_rl.progress import Progress
 from nerf_rl.rl.config import BASELINES, NO_ENCODER, TrainRLConfig
 from nerf_rl.rl.environments.encoder_match import check_encoder_scene, warn_of_workers_rendering
 from nerf_rl.rl.sweeps.sweep import require_one_run, train_seeds
+from nerf_rl.rl.sweeps.workers import begin_seeds
 from nerf_rl.rl.training.evaluation_results import describe_episodes
 from nerf_rl.rl.training.run_files import OnEvaluation, RunRecord
 
@@ -57,7 +58,9 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
     spec = EnvSpec(
         config.scene, encoder, config.action_repeat, config.episode_steps, config.panda, observe, config.control
     )
-    if not config.seeds:
+    if config.seeds:
+        begin_seeds(config)
+    else:
         begin_workers(spec)
     if not is_baseline:
         from nerf_rl.rl.agents.agent import find_agent
@@ -74,7 +77,7 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
     if config.replay.hindsight and goal_task is None:
         raise UserError(f"--replay.hindsight needs a scene with a goal in its observation; {config.scene} has none")
     if config.seeds:
-        return train_seeds(config)
+        return train_seeds(train_rl, config)
     prepare_output(run, config.overwrite, config.resume, resuming, "train-rl")
     write_provenance(run, "train-rl", config)
     print(f"train-rl writes to {run}", flush=True)

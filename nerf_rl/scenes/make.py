@@ -14,6 +14,11 @@ _SCENES = {
 """Where the scenes are whose names begin so; modules are imported late, since Meta-World takes a second."""
 
 
+def scene_modules(name: str) -> list[str]:
+    """Return the modules that a scene of this name needs, for processes that are to have imported them."""
+    return [module for prefix, (module, _) in _SCENES.items() if name.startswith(prefix)]
+
+
 def make_scene(name: str) -> Scene:
     """Return a fresh scene, already reset once.
 

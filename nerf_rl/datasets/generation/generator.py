@@ -9,7 +9,7 @@ from nerf_rl.datasets.generation.estimate import print_estimate
 from nerf_rl.datasets.generation.manifest import describe
 from nerf_rl.datasets.generation.shard_episodes import open_render_context
 from nerf_rl.datasets.generation.unfinished import OutputRecord
-from nerf_rl.datasets.generation.workers import render_shards
+from nerf_rl.datasets.generation.workers import begin_workers, render_shards
 from nerf_rl.datasets.storage.disk import bytes_needed, explain_full_disk, require_space
 from nerf_rl.datasets.storage.finished_shards import FinishedShard, shard_entry, with_shards
 from nerf_rl.datasets.storage.shards import UNFINISHED
@@ -33,6 +33,7 @@ def generate_dataset(config: GenDatasetConfig) -> None:
         return
     record = OutputRecord(config)
     record.check()
+    begin_workers(config)
     context = open_render_context(config)
     try:
         description, gl_renderer = describe(config, context, record.plan), context.renderer.gl_renderer

@@ -48,7 +48,7 @@ def alarm(partial: Path, timeout: float) -> Iterator[Callable[[], None]]:
 
 @contextlib.contextmanager
 def lookout(folder: Path, shards: Collection[int], timeout: float) -> Iterator[None]:
-    """Meanwhile, kill child processes whose shard has seen no beat for somewhat more than ``timeout`` seconds."""
+    """Meanwhile, kill processes of this one whose shard has seen no beat for somewhat more than ``timeout`` seconds."""
     stop = threading.Event()
     thread = threading.Thread(target=_look_out, args=(folder, shards, timeout * _PATIENCE, stop), daemon=True)
     thread.start()
@@ -69,15 +69,19 @@ def _look_out(folder: Path, shards: Collection[int], timeout: float, stop: threa
                 touched = path.stat().st_mtime_ns
                 before, since = seen.get(path, (None, now))
                 current[path] = (touched, since if touched == before else now)
-                if now - current[path][1] > timeout and _is_child(pid):
+                if now - current[path][1] > timeout and _is_ours(pid):
                     os.kill(pid, signal.SIGKILL)
         seen = current
 
 
-def _is_child(pid: int) -> bool:
-    """Tell whether a process was started by this one."""
-    try:
-        status = Path(f"/proc/{pid}/stat").read_text()
-    except OSError:
-        return False
-    return int(status.rpartition(")")[2].split()[1]) == os.getpid()
+def _is_ours(pid: int) -> bool:
+    """Tell whether this process started another one, or a server of its own did."""
+    while pid > 1:
+        try:
+            status = Path(f"/proc/{pid}/stat").read_text()
+        except OSError:
+            return False
+        pid = int(status.rpartition(")")[2].split()[1])
+        if pid == os.getpid():
+            return True
+    return False

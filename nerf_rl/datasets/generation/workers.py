@@ -1,11 +1,11 @@
 """Rendering shards in worker processes, which may die or hang without harm to what is finished."""
 
 import contextlib
+import functools
 from collections.abc import Callable, Collection, Generator
 from pathlib import Path
 
 import mujoco
-from joblib import delayed
 
 from nerf_rl.datasets.config import GenDatasetConfig
 from nerf_rl.datasets.generation.shard_episodes import render_shard
@@ -14,8 +14,17 @@ from nerf_rl.datasets.storage.finished_shards import FinishedShard
 from nerf_rl.datasets.storage.plan import Plan, plan_of
 from nerf_rl.datasets.storage.shards import partial_files, partial_path, shard_path
 from nerf_rl.errors import FailureError
+from nerf_rl.machine.backends import RAY
 from nerf_rl.machine.gl import use_one_software_thread
-from nerf_rl.machine.worker_pools import MOST_DEATHS, Backend, as_they_end, open_backend, through_deaths
+from nerf_rl.machine.processes import start_server
+from nerf_rl.machine.worker_pools import MOST_DEATHS, LocalProcesses, Pool, RayProcesses, through_deaths
+from nerf_rl.scenes.make import scene_modules
+
+
+def begin_workers(config: GenDatasetConfig) -> None:
+    """Begin the imports of render processes of this machine, which take seconds, beside what this process does."""
+    if config.backend != RAY:
+        start_server(_modules(config))
 
 
 def render_shards(
@@ -39,7 +48,7 @@ def render_shards(
         FailureError: workers keep dying without finishing a shard, or a frame is unusable.
         UserError: the backend cannot be had.
     """
-    backend, deaths = open_backend(config.backend)
+    pool: Pool = RayProcesses() if config.backend == RAY else LocalProcesses(_modules(config))
     folder, missing, plan = Path(config.out), list(shards), plan or plan_of(config)
 
     def after_death(in_a_row: int) -> None:
@@ -55,23 +64,25 @@ def render_shards(
         _remove_partial_files(folder, missing)
 
     def attempt(shards: list[int]) -> Generator[FinishedShard, None, None]:
-        return _render_once(config, shards, backend, plan)
+        return _render_once(config, shards, pool, plan)
 
     try:
-        yield from through_deaths(missing, attempt, lambda rendered: rendered.shard, deaths, after_death)
+        yield from through_deaths(missing, attempt, lambda rendered: rendered.shard, pool.deaths, after_death)
     finally:
         _remove_partial_files(folder, missing)
 
 
+def _modules(config: GenDatasetConfig) -> list[str]:
+    return [__name__, *scene_modules(config.scene)]
+
+
 def _render_once(
-    config: GenDatasetConfig, shards: list[int], backend: Backend, plan: Plan
+    config: GenDatasetConfig, shards: list[int], pool: Pool, plan: Plan
 ) -> Generator[FinishedShard, None, None]:
+    watch = lookout(Path(config.out), shards, config.worker_timeout) if config.backend != RAY else None
+    calls = (functools.partial(_render_watched, config, shard, plan) for shard in shards)
     workers = min(config.workers, len(shards))
-    if config.backend == "ray":
-        workers = max(workers, 2)  # for one job joblib would start no process
-    watch = lookout(Path(config.out), shards, config.worker_timeout) if config.backend == "loky" else None
-    calls = (delayed(_render_watched)(config, shard, plan) for shard in shards)
-    with watch or contextlib.nullcontext(), contextlib.closing(as_they_end(calls, workers, backend)) as rendered:
+    with watch or contextlib.nullcontext(), contextlib.closing(pool.as_they_end(calls, workers)) as rendered:
         yield from rendered
 
 

@@ -32,7 +32,7 @@ from nerf_rl.rl.environments.wrappers import (
     with_unit_actions,
 )
 from nerf_rl.scenes.base import GYM, METAWORLD, Policy, Scene
-from nerf_rl.scenes.make import MJCF_ENDINGS, make_scene
+from nerf_rl.scenes.make import MJCF_ENDINGS, make_scene, scene_modules
 
 
 @dataclass(frozen=True)
@@ -158,9 +158,8 @@ def begin_workers(spec: EnvSpec) -> None:
 
 
 def _worker_modules(spec: EnvSpec) -> list[str]:
-    simulator = ["metaworld"] if spec.scene.startswith(METAWORLD) else []
     eyes = [] if spec.encoder is None else ["nerf_rl.rl.environments.observation", "nerf_rl.rl.environments.controls"]
-    return [__name__, *simulator, *eyes]
+    return [__name__, *scene_modules(spec.scene), *eyes]
 
 
 def reset_some(envs: gymnasium.vector.VectorEnv, which: ndarray, seeds: list[int], overtime: int = 0) -> ndarray:

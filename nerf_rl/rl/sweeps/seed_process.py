@@ -1,37 +1,61 @@
-"""The process that trains one seed of a sweep: ``python -m nerf_rl.rl.sweeps.seed_process``, then train-rl's arguments.
+"""The process that trains one seed of a sweep: it has a folder and a log of its own, and concerns no other seed."""
 
-It has a folder and a log of its own, and whatever becomes of it concerns no other seed. It ends when its standard input
-does, which the process that started it holds open and never writes to.
-"""
-
+import dataclasses
 import os
-import signal
 import sys
-import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 from nerf_rl.errors import FailureError, UserError
+from nerf_rl.files.folder_lock import lock
+from nerf_rl.machine.processes import start_worker, tidy_up_alone
+from nerf_rl.rl.config import TrainRLConfig
+from nerf_rl.rl.sweeps.runs import run_folder
+
+Train = Callable[[TrainRLConfig], Any]
+STILL_TRAINED = 75
+"""exit code of a process whose seed another one trains (EX_TEMPFAIL)"""
+_PATIENCE = 60.0  # [s] for which a seed waits for processes that an interrupted sweep left
 
 
-def main() -> int:
-    """Train; return what ``nerf-rl train-rl`` exits with."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the sweep's to handle
-    threading.Thread(target=_end_with_input, daemon=True).start()
-    from nerf_rl.arguments.parsing import parse_config
-    from nerf_rl.rl.config import TrainRLConfig
-    from nerf_rl.rl.train import train_rl
+def log_of(out: Path, seed: int) -> Path:
+    """Return the file that holds what a seed's process said."""
+    return out / "logs" / f"seed-{seed}.log"
 
+
+def train_seed(train: Train, sweep: TrainRLConfig, seed: int, folder: str) -> None:
+    """Train a seed, from its last checkpoint if it was begun; the entry of a process, which it ends.
+
+    It exits with what ``nerf-rl train-rl`` would exit with.
+
+    Args:
+        train: from a run's configuration to its run folder.
+        sweep: configuration of the sweep.
+        seed: which.
+        folder: what relative paths begin in.
+    """
+    start_worker()
+    os.chdir(folder)
+    log = log_of(Path(sweep.out), seed)
+    log.parent.mkdir(parents=True, exist_ok=True)
+    # those of its environments write to the same open file as this process, and the lock is held until the last of
+    # them has gone: so none is left of an earlier sweep, however that one ended
+    file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    if not lock(file, _PATIENCE):
+        sys.exit(STILL_TRAINED)
+    for stream in (sys.stdout, sys.stderr):
+        os.dup2(file, stream.fileno())
+    tidy_up_alone()
+    os.environ["OMP_NUM_THREADS"] = str(sweep.threads)
+    out = str(run_folder(Path(sweep.out), seed))
+    sys.exit(_exit_code(train, dataclasses.replace(sweep, out=out, seed=seed, seeds="", resume=True, overwrite=False)))
+
+
+def _exit_code(train: Train, config: TrainRLConfig) -> int:
     try:
-        train_rl(parse_config(TrainRLConfig, "nerf-rl train-rl", "", sys.argv[1:]))
+        train(config)
     except (UserError, FailureError) as error:
         print(f"nerf-rl train-rl: {error}", file=sys.stderr)
         return 2 if isinstance(error, UserError) else 1
     return 0
-
-
-def _end_with_input() -> None:
-    os.read(0, 1)
-    os._exit(1)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

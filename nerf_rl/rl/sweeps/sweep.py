@@ -16,18 +16,23 @@ from nerf_rl.rl.sweeps.figure import draw_sweep
 from nerf_rl.rl.sweeps.progress import SweepProgress
 from nerf_rl.rl.sweeps.runs import is_finished, read_run, run_folder
 from nerf_rl.rl.sweeps.seed_list import parse_seeds
+from nerf_rl.rl.sweeps.seed_process import Train, log_of
 from nerf_rl.rl.sweeps.summary import summarise
 from nerf_rl.rl.sweeps.table import aligned, describe_summary, seeds_table
-from nerf_rl.rl.sweeps.workers import log_of, train_seeds_apart
+from nerf_rl.rl.sweeps.workers import train_seeds_apart
 from nerf_rl.rl.training.evaluation_results import describe_episodes
 
 FIGURE = "learning_curves.png"
 
 
-def train_seeds(config: TrainRLConfig) -> dict[str, Any]:
+def train_seeds(train: Train, config: TrainRLConfig) -> dict[str, Any]:
     """Train a run for each of ``config.seeds`` into the folder ``config.out``; return the summary.
 
     The summary and the figure are written anew after each seed that is finished. One that fails stops no other.
+
+    Args:
+        train: from a run's configuration to its run folder; can be pickled.
+        config: of the sweep.
 
     Raises:
         UserError: the folder is in use, or holds a sweep with other keys or with seeds that are not asked for.
@@ -44,7 +49,7 @@ def train_seeds(config: TrainRLConfig) -> dict[str, Any]:
     failed: dict[int, str] = {}
     with (
         SweepProgress(config, seeds, finished) as progress,
-        contextlib.closing(train_seeds_apart(config, left, progress.say)) as ended,
+        contextlib.closing(train_seeds_apart(train, config, left, progress.say)) as ended,
     ):
         for end in ended:
             error = end.error or _missing(out, end.seed, config)

@@ -55,7 +55,7 @@ def test_two_nodes_of_a_ray_cluster_write_the_same_bytes_though_a_worker_is_kill
 
 def test_a_backend_that_there_is_not_is_answered_with_those_there_are(capsys: pytest.CaptureFixture[str]):
     assert cli.main(["gen-dataset", "--out", "x", "--backend", "rai"]) == 2
-    assert "unknown backend 'rai' (did you mean ray?); available: loky, ray" in capsys.readouterr().err
+    assert "unknown backend 'rai' (did you mean ray?); available: local, ray" in capsys.readouterr().err
 
 
 def test_ray_is_imported_by_no_other_path():

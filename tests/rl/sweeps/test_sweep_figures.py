@@ -59,7 +59,6 @@ def test_what_are_no_seeds_is_told_in_a_sentence(
         ({"seeds": "0..3", "seed": 4}, "--seeds 0..3 leaves no room for --seed 4"),
         ({"seeds": "0..3", "workers": 0}, "--workers must be at least 1, got 0"),
         ({"seeds": "0..3", "backend": "rai"}, "did you mean ray"),
-        ({"seeds": "0..3", "backend": "ray", "workers": 1}, "--backend ray needs at least 2 --workers"),
     ],
 )
 def test_keys_that_contradict_each_other_are_refused(keys: dict, sentence: str):

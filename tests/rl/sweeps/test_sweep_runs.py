@@ -1,5 +1,6 @@
 """Sweeps over seeds as the command line runs them: whole, killed in between, with a seed that fails."""
 
+import contextlib
 import csv
 import json
 import os
@@ -51,16 +52,15 @@ def wait_for_a_checkpoint(out: Path, runs: str, before: int, process: subprocess
     raise AssertionError("no checkpoint came")
 
 
-def process_of(run: Path) -> int:
-    """Return the process that trains a run."""
-    wanted = f"--out={run}".encode()
+def process_of(out: Path, seed: int) -> int:
+    """Return the process that trains a seed: the first of those that write to its log."""
+    log = str(out / "logs" / f"seed-{seed}.log")
+    writing = []
     for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            if wanted in (folder / "cmdline").read_bytes().split(b"\0"):
-                return int(folder.name)
-        except OSError:  # it ended meanwhile
-            continue
-    raise AssertionError(f"no process trains {run}")
+        with contextlib.suppress(OSError):  # it ended meanwhile
+            if os.readlink(folder / "fd" / "1") == log:
+                writing.append(int(folder.name))
+    return min(writing)
 
 
 def results(run: Path) -> tuple[bytes, list, list]:
@@ -112,7 +112,7 @@ def test_killed_as_a_whole_and_in_part_a_sweep_ends_as_the_undisturbed_one(
     before = newest_checkpoint(out, "seed-1")
     process = start(out, "--resume", "true")
     wait_for_a_checkpoint(out, "seed-1", before, process)
-    os.kill(process_of(out / "seed-1"), signal.SIGKILL)
+    os.kill(process_of(out, 1), signal.SIGKILL)
     shown, told = process.communicate(timeout=600)
     assert process.returncode == 1
     assert told == (
