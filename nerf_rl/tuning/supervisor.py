@@ -1,15 +1,14 @@
 """Keeps the worker processes of a study at work: replaces those that die and ends when the study does."""
 
 import contextlib
-import multiprocessing
 from multiprocessing.connection import wait as wait_for
-from multiprocessing.context import SpawnProcess
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import optuna
 from optuna.trial import FrozenTrial, TrialState
 
-from nerf_rl.machine.processes import ignore_sigint
+from nerf_rl.machine.processes import ignore_sigint, worker_context
 from nerf_rl.progress import Progress
 from nerf_rl.tuning.heartbeat import LOST, LostTrials
 from nerf_rl.tuning.sampler import slot_of
@@ -73,7 +72,7 @@ class _Workers(contextlib.AbstractContextManager):
 
     def __init__(self, task: Task, count: int):
         self._task = task
-        self._context = multiprocessing.get_context("spawn")
+        self._context = worker_context([work.__module__, type(task.objective).__module__, *task.modules])
         self._processes = [self._start(number) for number in range(count)]
 
     @property
@@ -94,7 +93,7 @@ class _Workers(contextlib.AbstractContextManager):
         for process in self._processes:
             process.join(10.0)
 
-    def _start(self, number: int) -> SpawnProcess:
+    def _start(self, number: int) -> BaseProcess:
         process = self._context.Process(target=work, args=(self._task, number), name=f"tune-{number}")
         with ignore_sigint():
             process.start()

@@ -46,6 +46,8 @@ class Task:
     """finished trials that the study is to have"""
     first: int = 0
     """number of the first trial of this session; errors of earlier ones are forgiven"""
+    modules: tuple[str, ...] = ()
+    """that the objective needs beyond its own; workers have them imported from the start"""
 
 
 def work(task: Task, number: int) -> None:

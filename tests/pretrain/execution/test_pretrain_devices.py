@@ -68,17 +68,21 @@ def wait_until(condition: Callable[[], bool]) -> None:
         time.sleep(0.02)
 
 
-def ranks_of(parent: int) -> list[int]:
-    """Return the processes that a command has spawned, by rank."""
+def ranks_of(command: int) -> list[int]:
+    """Return the processes that share a command's run, by rank: forks of the server that it has started."""
+    return sorted(fork for server in children_of(command) for fork in children_of(server))
+
+
+def children_of(parent: int) -> list[int]:
     found = []
     for folder in Path("/proc").glob("[0-9]*"):
         try:
-            state, words = (folder / "stat").read_text(), (folder / "cmdline").read_bytes()
+            state = (folder / "stat").read_text()
         except OSError:  # gone meanwhile
             continue
-        if int(state.rpartition(")")[2].split()[1]) == parent and b"spawn_main" in words:
+        if int(state.rpartition(")")[2].split()[1]) == parent:
             found.append(int(folder.name))
-    return sorted(found)
+    return found
 
 
 def logged(run: Path, column: str) -> dict[int, float]:
