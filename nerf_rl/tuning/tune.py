@@ -16,7 +16,7 @@ from nerf_rl.files.json_files import read_json
 from nerf_rl.files.outputs import PROVENANCE, check_output, plain, prepare_output, write_provenance
 from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
 from nerf_rl.rl.environments.encoder_match import check_encoder_scene
-from nerf_rl.rl.sweeps.workers import TRAINING_MODULES
+from nerf_rl.rl.sweeps.workers import training_modules
 from nerf_rl.tuning.config import TuneConfig
 from nerf_rl.tuning.objective import TrainingObjective, runs_of
 from nerf_rl.tuning.recipe import check_space
@@ -57,9 +57,8 @@ def tune(config: TuneConfig) -> dict[str, Any]:
     study, search = open_study(storage, config, content, search_of(config, trials, base.env_steps))
     first = len(study.get_trials(deepcopy=False))
     print(f"tune writes to {out}; {trials} trials of {config.seeds * base.env_steps} environment steps", flush=True)
-    task = Task(
-        TrainingObjective(config), search, config.out, config.storage, config.study, trials, first, TRAINING_MODULES
-    )
+    objective, modules = TrainingObjective(config), training_modules(base.device)
+    task = Task(objective, search, config.out, config.storage, config.study, trials, first, modules)
     study = supervise(task, config.workers)
     if not config.keep_runs:
         shutil.rmtree(runs_of(config.out), ignore_errors=True)  # what killed trials left

@@ -37,19 +37,29 @@ def train_seed(train: Train, sweep: TrainRLConfig, seed: int, folder: str) -> No
     """
     start_worker()
     os.chdir(folder)
-    log = log_of(Path(sweep.out), seed)
-    log.parent.mkdir(parents=True, exist_ok=True)
-    # those of its environments write to the same open file as this process, and the lock is held until the last of
-    # them has gone: so none is left of an earlier sweep, however that one ended
-    file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-    if not lock(file, _PATIENCE):
-        sys.exit(STILL_TRAINED)
+    try:
+        file = _open_log(log_of(Path(sweep.out), seed))
+    except OSError as error:
+        sys.exit(f"nerf-rl train-rl: seed {seed} cannot be started ({error})")
     for stream in (sys.stdout, sys.stderr):
         os.dup2(file, stream.fileno())
     tidy_up_alone()
     os.environ["OMP_NUM_THREADS"] = str(sweep.threads)
     out = str(run_folder(Path(sweep.out), seed))
     sys.exit(_exit_code(train, dataclasses.replace(sweep, out=out, seed=seed, seeds="", resume=True, overwrite=False)))
+
+
+def _open_log(path: Path) -> int:
+    """Return the descriptor of a seed's log, once no other process writes to it; end this one if that never comes.
+
+    The processes of its environments write to the same open file, and the lock is held until the last of them has gone:
+    so none is left of an earlier sweep, however that one ended.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    if not lock(file, _PATIENCE):
+        sys.exit(STILL_TRAINED)
+    return file
 
 
 def _exit_code(train: Train, config: TrainRLConfig) -> int:

@@ -17,8 +17,6 @@ from nerf_rl.machine.worker_pools import MOST_DEATHS, RayProcesses, through_deat
 from nerf_rl.rl.config import TrainRLConfig
 from nerf_rl.rl.sweeps.seed_process import STILL_TRAINED, Train, train_seed
 
-TRAINING_MODULES = ("nerf_rl.rl.train", "nerf_rl.rl.training.loop", "nerf_rl.rl.environments.make")
-"""that a process which trains an agent is to have imported"""
 _SIGNALS = {int(known): known.name for known in signal.Signals}
 
 
@@ -31,10 +29,21 @@ class SeedEnd:
     """what befell it; nothing if it is finished"""
 
 
+def training_modules(device: str) -> tuple[str, ...]:
+    """Return the modules that the server of processes which train on a device is to have imported.
+
+    With a GPU there are none: TorchRL asks for GPUs when it is imported, which may start a runtime that survives no
+    fork.
+    """
+    if device != "cpu":
+        return ()
+    return ("nerf_rl.rl.train", "nerf_rl.rl.training.loop", "nerf_rl.rl.environments.make")
+
+
 def begin_seeds(config: TrainRLConfig) -> None:
     """Begin the imports of the processes that train seeds here, which take seconds, beside what this process does."""
     if config.backend != RAY:
-        start_server(TRAINING_MODULES)
+        start_server(training_modules(config.device))
 
 
 def train_seeds_apart(
@@ -63,7 +72,7 @@ def train_seeds_apart(
 def _train_here(
     train: Train, config: TrainRLConfig, seeds: Collection[int], workers: int
 ) -> Generator[SeedEnd, None, None]:
-    context = worker_context(TRAINING_MODULES)
+    context = worker_context(training_modules(config.device))
     left, running = list(seeds), dict[Any, tuple[int, BaseProcess]]()  # by what becomes ready when a process ends
     try:
         while left or running:

@@ -147,6 +147,18 @@ def test_a_seed_that_fails_stops_no_other_and_its_error_is_found(
     assert summary["unfinished"] == [0] and [run["seed"] for run in summary["runs"]] == [1, 2]
 
 
+def test_a_seed_whose_log_cannot_be_written_fails_and_is_named(
+    undisturbed: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+):
+    out = tmp_path / "without_logs"
+    shutil.copytree(undisturbed, out)
+    (out / "seed-0" / "summary.json").unlink()
+    shutil.rmtree(out / "logs")
+    (out / "logs").write_text("no folder")
+    assert cli.main(["train-rl", *SWEEP, "--out", str(out), "--resume", "true"]) == 1
+    assert "1 of 2 seeds failed: 0 (exit code 1)" in capfd.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("keys", "sentence"),
     [
