@@ -41,8 +41,8 @@ def train_seed(train: Train, sweep: TrainRLConfig, seed: int, folder: str) -> No
         file = _open_log(log_of(Path(sweep.out), seed))
     except OSError as error:
         sys.exit(f"nerf-rl train-rl: seed {seed} cannot be started ({error})")
-    for stream in (sys.stdout, sys.stderr):
-        os.dup2(file, stream.fileno())
+    for output in (1, 2):
+        os.dup2(file, output)
     tidy_up_alone()
     os.environ["OMP_NUM_THREADS"] = str(sweep.threads)
     out = str(run_folder(Path(sweep.out), seed))
