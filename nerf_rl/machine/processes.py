@@ -36,10 +36,10 @@ def ignore_sigint() -> Iterator[None]:
 def start_method(modules: Sequence[str]) -> str:
     """Return how to start worker processes that need ``modules``: as forks of a server that has imported them.
 
-    The server is a fresh process without threads, OpenGL and CUDA, so that its forks are as clean as spawned processes
-    are; but imports are paid for once and their memory is shared. Whoever asks first decides what the server imports; a
-    fork imports what else it needs. Forks have the environment variables that this process had when it first asked for
-    one.
+    The server is a fresh process without OpenGL, CUDA and threads of Python's (those of libraries for matrices know of
+    forks), so that its forks are as clean as spawned processes are; but imports are paid for once and their memory is
+    shared. Whoever asks first decides what the server imports; a fork imports what else it needs. Forks have the
+    environment variables that this process had when it first asked for one.
 
     Args:
         modules: by their full names; their imports must start nothing.
