@@ -12,7 +12,7 @@ from not_run import LINES, LISTINGS, TEXTS
 from world import SMALLER, commands_of
 
 from tools.page_tables import write_tables
-from tools.record import choices
+from tools.record import choices, recipe_agents
 
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 MOST_BYTES = 300_000  # of a picture
@@ -124,6 +124,20 @@ def test_the_tables_of_choices_hold_what_the_result_files_say() -> None:
     text = choices.PAGE.read_text()
     for name, table in choices.tables().items():
         assert f"<!-- table: {name} -->\n{table}\n<!-- end -->" in text, "run tools/record/choices.py"
+
+
+@pytest.mark.parametrize("page", recipe_agents.PAGES, ids=str)
+def test_the_table_of_the_recipes_agents_holds_what_the_result_files_say(page: Path) -> None:
+    table = recipe_agents.table(ROOT / recipe_agents.RESULTS)
+    assert f"<!-- table: recipe-agents -->\n{table}\n<!-- end -->" in (ROOT / page).read_text(), (
+        "run tools/record/recipe_agents.py"
+    )
+    assert table.count("\n") > 8
+
+
+def test_success_rates_that_are_the_same_are_told_together() -> None:
+    assert recipe_agents.rates([0.86, 0.98, 0.98, 1.0, 1.0, 1.0]) == "86, 2 times 98, 3 times 100"
+    assert recipe_agents.rates([]) == ""
 
 
 def test_the_gallery_shows_every_task_of_metaworld() -> None:

@@ -1,0 +1,75 @@
+"""Write the tables of agents by the recipe as it is, every finished seed of them, from the files that hold their runs.
+
+Run from a checkout's root:
+
+    .venv/bin/python -m tools.record.recipe_agents
+"""
+
+import itertools
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from nerf_rl.rl.training.evaluation_results import SUCCESS
+from tools.compare.agent_runs import ON_THE_WAY, read_entries
+from tools.compare.agents import LATENTS, RESULTS, STATE, on_the_way
+from tools.page_tables import AGENTS_PAGE, markdown_table, task_name, write_tables
+
+PAGES = (Path("rl/README.md"), AGENTS_PAGE)
+ARM = (
+    "strong self-imitation, curriculum, overtime, triple bonus and early echoes, "
+    "1.5 updates a step, little noise"  # a test has it that these are the keys of rl/drawer-open.yaml
+)
+BLIND = f"blind, {ARM}"
+WHOLE = 50_000
+"""environment steps of a whole run"""
+
+
+def main() -> None:
+    """Write the table into each of its pages."""
+    for page in PAGES:
+        write_tables(page, {"recipe-agents": table()})
+
+
+def table(results: Path = RESULTS) -> str:
+    """Return a row for each task and what agents see by; runs that ended earlier count where they were evaluated."""
+    entries = [entry for file in sorted(results.glob("*.json")) for entry in read_entries(file, "arms")]
+    rows = []
+    for scene in dict.fromkeys(entry["scene"] for entry in entries):
+        for eyes in (LATENTS, STATE):
+            seen, blind = (list(runs_of(entries, scene, eyes, arm)) for arm in (ARM, BLIND))
+            if seen:
+                seeds = len({run["seed"] for run in seen})
+                encoders = len({run.get("encoder") for run in seen}) if eyes == LATENTS else ""
+                told = [after(seen, ON_THE_WAY), after(seen, WHOLE), after(blind, ON_THE_WAY), after(blind, WHOLE)]
+                name = "the latent" if eyes == LATENTS else "the true state"
+                rows.append([task_name(scene), name, encoders, seeds, *map(rates, told)])
+    steps = [f"{who}after {steps:,}" for who in ("", "blind, ") for steps in (ON_THE_WAY, WHOLE)]
+    return markdown_table(["task", "from", "encoders", "seeds", *steps], rows)
+
+
+def runs_of(entries: Iterable[dict[str, Any]], scene: str, eyes: str, arm: str) -> Iterator[dict[str, Any]]:
+    """Yield the runs of an arm, however long they were."""
+    for entry in entries:
+        if (entry["scene"], entry["eyes"], entry["arm"]) == (scene, eyes, arm):
+            yield from entry["runs"]
+
+
+def after(runs: Iterable[dict[str, Any]], steps: int) -> list[float]:
+    """Return the success of each run that was evaluated after so many environment steps, the worst first."""
+    last = [run["evaluations"][-1][SUCCESS] for run in runs if run["evaluations"][-1]["due"] == steps]
+    earlier = [on_the_way(run) for run in runs] if steps == ON_THE_WAY else []
+    return sorted([*last, *(rate for rate in earlier if rate is not None)])
+
+
+def rates(successes: Iterable[float]) -> str:
+    """Return success rates in percent, those that are the same together."""
+    told = []
+    for percent, same in itertools.groupby(f"{100 * success:.0f}" for success in successes):
+        count = len(list(same))
+        told.append(f"{count} times {percent}" if count > 1 else percent)
+    return ", ".join(told)
+
+
+if __name__ == "__main__":
+    main()
