@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from nerf_rl import __version__, cli
-from nerf_rl.arguments.parsing import RENAMED
+from nerf_rl.arguments.explanations import RENAMED
 from nerf_rl.errors import FailureError, UserError
 
 HEAVY = {"torch", "torchrl", "lightning", "mujoco", "metaworld", "gymnasium", "jsonargparse", "h5py", "numpy"}

@@ -5,31 +5,20 @@ import dataclasses
 import functools
 import itertools
 import re
-import typing
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from jsonargparse import ActionConfigFile, ArgumentError, ArgumentParser, set_parsing_settings
 
+from nerf_rl.arguments.explanations import explain
 from nerf_rl.arguments.limits import require_finite
-from nerf_rl.arguments.recipes import check_recipe
-from nerf_rl.errors import UnknownNameError, UserError
+from nerf_rl.arguments.recipes import check_all_that_is_read, check_recipe, require_keys
 
-RENAMED = {
-    "radiance_field.moving_frames": "radiance_field.free_frames",
-    "sampling.training_approach": "sampling.training_free_space",
-    "sampling.approach_reach": "sampling.free_space_reach",
-    "sharp_at": "coarse_to_fine",
-    "noise.hold_share": "noise.epsilon_z",
-    "noise.hold_start": "noise.epsilon_z_start",
-    "noise.hold_steps": "noise.epsilon_z_steps",
-    "noise.hold_kind": "noise.epsilon_z_kind",
-}
-"""What keys of earlier versions are called now."""
 _ALONE = ("-h", "--help", "--print_config")  # keys without a value
 
 set_parsing_settings(docstring_parse_attribute_docstrings=True)
+check_all_that_is_read()
 
 
 def parse_config(config: type, program: str, description: str, arguments: Sequence[str], positional: str = "") -> Any:
@@ -50,13 +39,13 @@ def parse_config(config: type, program: str, description: str, arguments: Sequen
     arguments = [re.sub(r"^--[^=]+", lambda key: "--" + key[0][2:].replace("-", "_"), word) for word in arguments]
     arguments = list(_name_positional(arguments, positional)) if positional else arguments
     for recipe in _recipes(arguments):
-        check_recipe(Path(recipe))
+        check_recipe(Path(recipe), config)
     try:
         namespace = parser.instantiate(parser.parse_args(arguments))
         values = {field.name: namespace[field.name] for field in dataclasses.fields(config)}
         made = config(**values)
     except (ArgumentError, ValueError, TypeError, RecursionError, OverflowError) as error:
-        raise _explain(str(error), config) from error
+        raise explain(str(error), config) from error
     require_finite(made)
     return made
 
@@ -69,10 +58,11 @@ def config_of(config: type, content: Mapping[str, Any]) -> Any:
     """
     parser = _parser(config)
     try:
+        require_keys(content, config)
         namespace = parser.instantiate(parser.parse_object(copy.deepcopy(dict(content))))
         made = config(**{field.name: namespace[field.name] for field in dataclasses.fields(config)})
     except (ArgumentError, ValueError, TypeError, RecursionError, OverflowError) as error:
-        raise _explain(str(error), config) from error
+        raise explain(str(error), config) from error
     require_finite(made)
     return made
 
@@ -106,36 +96,3 @@ def _name_positional(arguments: Sequence[str], key: str) -> Iterator[str]:
         else:
             yield word if is_value else f"--{key}={word}"
             is_value = False
-
-
-def _explain(message: str, config: type) -> UserError:
-    """Turn the parser's message into one sentence that lists what is available."""
-    message = re.sub(r"\s+", " ", message).strip()
-    message = re.sub(r"[Gg]roup '([^']+)' does not accept option '([^']+)'", r"Option '\1.\2' is not accepted", message)
-    unknown = re.search(r"Option '([^']+)' is not accepted|[Uu]nrecognized arguments?: (?:--)?([^\s=]+)", message)
-    if unknown:
-        name, known = unknown.group(1) or unknown.group(2), set(_keys(config))
-        if RENAMED.get(name) in known:
-            return UserError(f"key '{name}' is now '{RENAMED[name]}'")
-        return UnknownNameError("key", name, known)
-    words = re.search(r'Parser key "([\w.]+)": Expected a typing\.Literal\[([^\]]*)\]\. Got value: (.*)', message)
-    if words:
-        return UnknownNameError(words[1], words[3], re.findall(r"'([^']*)'", words[2]))
-    missing = re.search(r"the following arguments are required: (.+)", message)
-    if missing:
-        return UserError(f"missing --{missing.group(1).replace(', ', ', --')}")
-    message = re.sub(r'Parser key "([^"]+)":', r"--\1:", message)
-    message = re.sub(r"Expected a <class '(\w+)'>. Got value: ", r"expected \1, got ", message)
-    return UserError(message[0].lower() + message[1:])
-
-
-def _keys(config: type, prefix: str = "") -> Iterator[str]:
-    """Yield the dotted keys of a dataclass, those of dataclasses inside lists as ``list.key``."""
-    hints = typing.get_type_hints(config)
-    for field in dataclasses.fields(config):
-        kind = hints[field.name]
-        inner = [argument for argument in (kind, *typing.get_args(kind)) if dataclasses.is_dataclass(argument)]
-        if inner:
-            yield from _keys(typing.cast(type, inner[0]), f"{prefix}{field.name}.")
-        else:
-            yield f"{prefix}{field.name}"

@@ -1,28 +1,42 @@
 """Recipe files as somebody hands them in: looked at before they are turned into values.
 
 YAML can repeat a part by a name, and parts that repeat parts grow without end; it can nest without end, too. Both are
-found from the file's tokens, which take no more room than the file.
+found from the file's tokens, which take no more room than the file. The parser takes the name of a class, or of another
+file, where keys are expected, and imports or reads it before it finds that it will not do; so that is found here, too.
 """
 
+import dataclasses
+import functools
+import typing
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import yaml
+from jsonargparse import get_loader, set_loader
 
+from nerf_rl.arguments.explanations import explain, keys_of
 from nerf_rl.errors import MissingFileError
 
 _MOST_BYTES = 1 << 20
 _MOST_VALUES = 100_000
 _DEEPEST = 50
+_SHOWN = 60  # characters
 _REMEDY = "give a YAML file such as datasets/drawer-open.yaml; --print_config shows all keys"
 
 
-def check_recipe(path: Path) -> None:
-    """Check that a file is YAML of a size that a recipe can have.
+def check_recipe(path: Path, config: type) -> None:
+    """Check that a file is YAML of a size that a recipe can have, with keys wherever a dataclass has keys.
 
     What is no regular file, such as a pipe, can be read only once and is left to the parser.
 
+    Args:
+        path: the file.
+        config: the dataclass that it is for.
+
     Raises:
         MissingFileError: it is not.
+        UserError: a key that there is not.
     """
     if not path.is_file():
         return
@@ -31,11 +45,66 @@ def check_recipe(path: Path) -> None:
             raise ValueError(f"it is larger than {_MOST_BYTES} bytes")
         text = path.read_text(encoding="utf-8")
         _count(text)
-        top = yaml.compose(text, yaml.SafeLoader)
-        if isinstance(top, yaml.MappingNode) and any(key.value == "config" for key, _ in top.value):
+        content = yaml.safe_load(text)
+        if isinstance(content, dict) and "config" in content:
             raise ValueError("it has a key 'config', which is for arguments: give each recipe by a --config of its own")
+        if isinstance(content, dict):
+            require_keys(content, config)
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise MissingFileError("a recipe", path, str(error) or "it cannot be read", _REMEDY) from error
+
+
+def require_keys(content: Mapping[Any, Any], config: type) -> None:
+    """Check that a dataclass's parts, which are dataclasses, and lists and dictionaries of them, are made of keys.
+
+    Args:
+        content: by keys, or by dotted ones.
+        config: the dataclass.
+
+    Raises:
+        UserError: a key that there is not.
+        ValueError: something else in the place of keys.
+    """
+    for name, value, part in _parts(content, config, ""):
+        if not isinstance(value, Mapping):
+            raise ValueError(f"{name} must be keys ({', '.join(keys_of(part))}), got {str(value)[:_SHOWN]!r}")
+        for key in value:
+            if str(key).partition(".")[0].removesuffix("+") not in typing.get_type_hints(part):
+                raise explain(f"Option '{name}.{key}' is not accepted", config)
+
+
+def _parts(content: Mapping[Any, Any], config: type, prefix: str) -> Iterator[tuple[str, Any, type]]:
+    """Yield the dotted name of each part, what stands there, and the dataclass that it is to be; None is left out."""
+    hints = typing.get_type_hints(config)
+    for key, value in content.items():
+        first, _, rest = str(key).partition(".")
+        first = first.removesuffix("+")  # which adds to a list
+        hint = hints.get(first)
+        part = next((kind for kind in (hint, *typing.get_args(hint)) if dataclasses.is_dataclass(kind)), None)
+        if not isinstance(part, type) or value is None:
+            continue
+        given = {rest: value} if rest else value
+        if typing.get_origin(hint) is dict and isinstance(given, Mapping):
+            members = list(given.values())
+        else:
+            members = given if typing.get_origin(hint) is list and isinstance(given, list) else [given]
+        name = f"{prefix}{first}"
+        for member in members:
+            yield name, member, part
+            if isinstance(member, Mapping):
+                yield from _parts(member, part, f"{name}.")
+
+
+@functools.cache
+def check_all_that_is_read() -> None:
+    """Let the parser refuse, wherever it reads YAML, what grows or nests without end."""
+    load = get_loader("yaml")
+
+    def load_checked(text: str) -> Any:
+        _count(text)
+        return load(text)
+
+    set_loader("yaml", load_checked, (ValueError, yaml.YAMLError))
 
 
 def _count(text: str) -> None:

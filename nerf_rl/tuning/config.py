@@ -1,5 +1,6 @@
 """What a hyper-parameter search is made of; importing this module loads nothing heavy."""
 
+import math
 from dataclasses import asdict, dataclass, field
 from typing import Annotated, Any, Literal
 
@@ -35,6 +36,8 @@ class Range:
             return
         if self.low is None or self.high is None:
             raise UserError(f"--space: {key} needs low and high, or choices")
+        if not all(math.isfinite(number) for number in bounds):
+            raise UserError(f"--space: {key}'s low, high and step must be finite numbers, got {bounds}")
         if self.low > self.high:
             raise UserError(f"--space: {key}'s low {self.low:g} is above its high {self.high:g}")
         if self.log and self.low <= 0:
@@ -43,6 +46,8 @@ class Range:
             raise UserError(f"--space: {key} can have a logarithmic scale or a step, not both")
         if self.step is not None and self.step <= 0:
             raise UserError(f"--space: {key}'s step must be positive, got {self.step:g}")
+        if self.step is not None and self.low < self.high < self.low + self.step:
+            raise UserError(f"--space: {key}'s step {self.step:g} is larger than what lies between low and high")
         if self.integer and any(number != int(number) for number in bounds):
             raise UserError(f"--space: {key} is an integer, so low, high and step must be whole numbers")
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import optuna
 from optuna.trial import FrozenTrial, TrialState
 
+from nerf_rl.errors import FailureError
 from nerf_rl.machine.processes import ignore_sigint, worker_context
 from nerf_rl.progress import Progress
 from nerf_rl.tuning.heartbeat import LOST, LostTrials
@@ -19,7 +20,7 @@ _MOST_DEATHS = 10
 _PAUSE = 0.3  # [s] between two looks
 
 
-class StudyFailedError(RuntimeError):
+class StudyFailedError(FailureError):
     """A study that cannot go on."""
 
 

@@ -91,6 +91,11 @@ def test_a_search_leaves_what_it_promises_and_goes_on(
         (["--space", "{learner.tau: {low: 1, high: 0.5}}"], "--space: learner.tau's low 1 is above its high 0.5"),
         (["--space", "{learner.tau: {low: 0.5}}"], "--space: learner.tau needs low and high, or choices"),
         (["--space", "{learner.tau: {low: 0, high: 1, log: true}}"], "learner.tau has a logarithmic scale, so its low"),
+        (
+            ["--space", "{learner.n_step: {low: 1, high: .inf, integer: true}}"],
+            "must be finite numbers, got",
+        ),
+        (["--space", "{learner.tau: {low: 0.1, high: 0.2, step: 1}}"], "learner.tau's step 1 is larger than what lies"),
         (["--space", "{learner.n_step: {low: 0.5, high: 3, integer: true}}"], "learner.n_step is an integer, so low"),
         (["--space", "{learner.n_step: {low: 1, high: 3}}"], "learner.n_step"),
         (

@@ -17,6 +17,7 @@ import pytest
 from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
 from optuna.trial import FrozenTrial, Trial, TrialState
 
+from nerf_rl.errors import FailureError
 from nerf_rl.tuning import heartbeat
 from nerf_rl.tuning.heartbeat import HEARTBEAT, LOST, Heart, LostTrials
 from nerf_rl.tuning.pruner import EarlierMedianPruner
@@ -171,6 +172,7 @@ def test_three_errors_in_a_row_end_a_study_with_the_reason(tmp_path: Path) -> No
     task = start_study(tmp_path, 12, raise_from=2)
     with pytest.raises(StudyFailedError, match="3 trials in a row failed, the last one with OSError: no such gripper"):
         supervise(task, workers=2)
+    assert issubclass(StudyFailedError, FailureError), "told without a traceback"
     task = dataclasses.replace(task, objective=Objective(str(tmp_path)), first=100)
     assert slots(supervise(task, workers=1)) == undisturbed(12)  # once the reason is mended, the study goes on
 
