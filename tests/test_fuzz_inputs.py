@@ -3,6 +3,7 @@
 ``tools/fuzz/inputs.py`` does the same at length.
 """
 
+import importlib
 import pickle
 import random
 from pathlib import Path
@@ -42,3 +43,6 @@ def test_executed_code_would_be_noticed(base: Base, tmp_path: Path):
     assert not targets.executed()
     pickle.loads(pickle.dumps(mutations.Payload(targets.marker)))
     assert targets.executed() and not targets.executed()
+    for _ in range(2):
+        importlib.import_module(mutations.MODULE)
+        assert targets.executed() and not targets.executed()

@@ -22,10 +22,13 @@ import numpy as np
 import torch
 import yaml
 
+MODULE = "named_in_a_recipe"
+"""of a class that stands in the place of keys; who imports it runs it"""
 VALUES: list[Any] = [
     None, True, False, 0, -1, 1, 7, 2**31, 2**63, 10**9, 10**30, -(10**9), 0.5, -0.0, 1e308, -1e308, 1e-320,
     float("nan"), float("inf"), "", "x", "../..", "/etc/passwd", "a\nb", "\x00", "ß☃", "1e9", "null", "a" * 5000,
     [], {}, [[]], [1], [0, -1], {"a": 1}, [None, "x", 2.5], [[1, 2], [3]],
+    f"{MODULE}.Part", {"class_path": f"{MODULE}.Part"},
 ]  # fmt: skip
 """what a value may be replaced by"""
 

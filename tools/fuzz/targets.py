@@ -5,6 +5,7 @@ import io
 import json
 import random
 import shutil
+import sys
 import traceback
 import warnings
 from collections.abc import Callable
@@ -56,6 +57,9 @@ class Targets:
     def __init__(self, base: Base, scratch: Path, every: int):
         self._every, self._scratch = every, scratch
         self.marker = scratch / "marker"
+        scratch.mkdir(exist_ok=True)
+        (scratch / f"{mutations.MODULE}.py").write_text(f"open({str(self.marker)!r}, 'w').close()\nclass Part: pass\n")
+        sys.path.insert(0, str(scratch))
         folders = {name: scratch / name for name in ("dataset", "encoder", "agent")}
         for name, folder in folders.items():
             shutil.copytree(getattr(base, name), folder)
@@ -100,6 +104,7 @@ class Targets:
         """Tell whether a payload ran; forget it."""
         found = self.marker.exists()
         self.marker.unlink(missing_ok=True)
+        sys.modules.pop(mutations.MODULE, None)
         return found
 
     def _files(self, kind: str) -> list[Path]:
