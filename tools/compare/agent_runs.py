@@ -1,8 +1,6 @@
 """Agents that tools compare: trained if they are missing, and kept in result files by their seeds."""
 
 import csv
-import json
-import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -11,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from nerf_rl.files.atomic import write_text
-from nerf_rl.files.json_files import json_text, read_json
+from nerf_rl.files.json_files import read_json
 from nerf_rl.files.outputs import PROVENANCE
 from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION
 from nerf_rl.rl.sweeps.runs import read_run
 from nerf_rl.rl.training.evaluation_results import HIGH, LOW
+from tools.result_files import Lines
 
 RECIPE = "rl/demo.yaml"
 """what agents are trained by, unless their keys name another"""
@@ -107,14 +105,11 @@ def put_runs(
 def _write_entries(result: Path, name: str, head: dict[str, Any], entries: list[dict[str, Any]]) -> None:
     """Write entries, a line for each of their many runs; packages are told once and runs count them, from 0."""
     packages: list[dict[str, str]] = []
-    lines: list[str] = []
-    told = []
+    lines, told = Lines(), []
     for entry in entries:
-        places = range(len(lines), len(lines) + len(entry["runs"]))
         for run in entry["runs"]:
             if run["packages"] not in packages:
                 packages.append(run["packages"])
-            lines.append(json.dumps({**run, "packages": packages.index(run["packages"])}, allow_nan=False))
-        told.append({**entry, "runs": [f"run {place}" for place in places]})
-    text = json_text({**head, "packages": packages, name: told})
-    write_text(result, re.sub(r'"run (\d+)"', lambda place: lines[int(place[1])], text))
+        places = [lines.place({**run, "packages": packages.index(run["packages"])}) for run in entry["runs"]]
+        told.append({**entry, "runs": places})
+    lines.write(result, {**head, "packages": packages, name: told})

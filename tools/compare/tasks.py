@@ -14,13 +14,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from nerf_rl.files.json_files import read_json, write_json
+from nerf_rl.files.json_files import read_json
 from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.files.versions import git_revision, package_versions, processor
 from nerf_rl.pretrain.model.encoder_file import read_description
 from nerf_rl.pretrain.model.field_description import DESCRIPTION
 from tools.compare.pairs import ENDLESS
 from tools.page_tables import ENCODERS_PAGE, markdown_table, write_tables
+from tools.result_files import write_runs
 
 RESULT = Path("pretrain/results/tasks.json")
 DATASET_RECIPE, RECIPE = "datasets/demo.yaml", "pretrain/demo.yaml"
@@ -44,7 +45,7 @@ def main() -> None:
             others = [other for other in known if (other["task"], other["seed"]) != (task, seed)]
             rows = sorted([*others, row], key=lambda row: (row["task"], row["seed"]))
             command = "python -m tools.compare.tasks TASKS --seeds SEEDS --minutes MINUTES --threads THREADS"
-            write_json(arguments.table, {"command": command, "recipes": [DATASET_RECIPE, RECIPE], "runs": rows})
+            write_runs(arguments.table, {"command": command, "recipes": [DATASET_RECIPE, RECIPE]}, rows)
             if arguments.table == RESULT:
                 write_tables(ENCODERS_PAGE, {"tasks": table(rows)})
 
