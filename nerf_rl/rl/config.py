@@ -83,6 +83,8 @@ class NoiseConfig:
     """mean number of agent steps for which such an action is repeated"""
     epsilon_z_kind: Literal["corner", "anywhere"] = "corner"
     """what is repeated: corner (of the action box, which moves furthest) or anywhere (in it, and every third a rest)"""
+    epsilon_z_retries: ShareBelowOne = 0.0
+    """least share of the agent steps that do so where a start that failed is tried again (retry_share), however late"""
 
     def __post_init__(self) -> None:
         check_values(self, "noise.")
@@ -330,6 +332,9 @@ class TrainRLConfig:
             raise UserError(f"--echo_share {self.echo_share} is of retries; give --retry_share, too")
         if self.noise.retries != "first" and not self.retry_share:
             raise UserError(f"--noise.retries {self.noise.retries} is of retries; give --retry_share, too")
+        if self.noise.epsilon_z_retries and not self.retry_share:
+            held = self.noise.epsilon_z_retries
+            raise UserError(f"--noise.epsilon_z_retries {held} is of retries; give --retry_share, too")
 
     def content(self) -> dict[str, Any]:
         """Return the keys that must not change when a run is resumed."""

@@ -29,6 +29,7 @@ ROOT = Path(__file__).parents[2]
         ),
         (["--success_bonus", "-1"], "--success_bonus must be at least 0, got -1.0"),
         (["--echo_share", "0.5"], "--echo_share 0.5 is of retries; give --retry_share, too"),
+        (["--noise.epsilon_z_retries", "0.1"], "--noise.epsilon_z_retries 0.1 is of retries; give --retry_share, too"),
         (["--noise.retries", "drawn"], "--noise.retries drawn is of retries; give --retry_share, too"),
         (["--learner.imitation_weight", "-1"], "--learner.imitation_weight must be in [0, 1000000], got -1.0"),
         (["--learner.gamma", "1.5"], "--learner.gamma must be in [0, 1], got 1.5"),

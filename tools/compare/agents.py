@@ -44,6 +44,7 @@ INGREDIENTS = {
     "faster actor": ["--learner.actor_rate", "6e-4", "--learner.tau", "0.02"],
     "half the noise": ["--noise.decay_steps", "10000"],
     "little noise": ["--noise.decay_steps", "5000", "--noise.retries", "drawn"],
+    "held retries": ["--noise.epsilon_z_retries", "0.1"],
     "from one success": ["--noise.wait_for_successes", "1"],
     "last weights": ["--learner.policy_average", "0"],
     "3 demonstrations": ["--config", "rl/demonstrations.yaml"],

@@ -92,13 +92,13 @@ class EpsilonZGreedy:
         self._left = np.zeros(envs, np.int64)
         self._action = np.zeros((envs, action_size), np.float32)
 
-    def override(self, action: Float[ndarray, "E A"], share: float) -> Float[ndarray, "E A"]:
+    def override(self, action: Float[ndarray, "E A"], share: float | Float[ndarray, "E"]) -> Float[ndarray, "E A"]:
         """Return the actions, some of them replaced.
 
         Args:
             action: what the environments would do otherwise.
-            share: of steps to replace, in the long run: a hold starts with the probability p for which
-                p mean / (p mean + 1 - p) is the share.
+            share: of steps to replace in the long run, one for all environments or for each: a hold starts with the
+                probability p for which p mean / (p mean + 1 - p) is the share.
         """
         start_probability = share / (share + self._mean * (1.0 - share))
         start = (self._left == 0) & (self._rng.random(len(self._left)) < start_probability)

@@ -37,6 +37,7 @@ class Exploration:
         held = (config.noise.epsilon_z_steps, rng, config.noise.epsilon_z_kind)
         self._held = EpsilonZGreedy(envs, action_size, *held)
         self._least = np.zeros(envs)  # standard deviation of each environment's noise in its episode
+        self._least_held = np.zeros(envs)  # share of each environment's held actions in its episode
         self._lately: deque[bool] = deque(maxlen=LATEST_EPISODES)
         self._since, self._awaits_success = 0, config.noise.wait_for_successes > 0
 
@@ -60,11 +61,13 @@ class Exploration:
             env: which of the environments.
             env_step: now.
             again: the episode tries a start again that failed, with noise of its own. Much of it is meant for starts
-                from which the policy is far from success, little for those from which it all but succeeds.
+                from which the policy is far from success, little for those from which it all but succeeds. It may have
+                held actions, too, however few there are elsewhere by then.
         """
         self._noise.reset(env)
         drawn = self._rng.random() if again and self._config.retries == "drawn" else 1.0
         self._least[env] = drawn * self._config.start if again else 0.0
+        self._least_held[env] = self._config.epsilon_z_retries if again else 0.0
         self._held.reset(env, self._decayed(self._config.epsilon_z_start, env_step))
 
     def end_episode(self, success: bool | None, env_step: int) -> None:
@@ -85,7 +88,8 @@ class Exploration:
     def around(self, action: Float[ndarray, "E A"], env_step: int) -> Float[ndarray, "E A"]:
         """Return actions near the policy's."""
         noisy = np.clip(action + self._noise.sample(self.elapsed(env_step), self._least), -1.0, 1.0)
-        return self._held.override(noisy.astype(np.float32), self._decayed(self._config.epsilon_z, env_step))
+        share = np.maximum(self._decayed(self._config.epsilon_z, env_step), self._least_held)
+        return self._held.override(noisy.astype(np.float32), share)
 
     def state_dict(self) -> dict[str, Any]:
         """Return what a checkpoint has to hold between episodes."""

@@ -158,7 +158,7 @@ def test_a_run_tries_again_where_it_failed_and_resumes_to_the_same_episodes(
     monkeypatch.setattr(Curriculum, "begin", noted)
     (tmp_path / "whole").mkdir()
     plain = config(tmp_path / "whole", retry_share=0.5)
-    keys = dataclasses.replace(plain, noise=dataclasses.replace(plain.noise, retries=noise))
+    keys = dataclasses.replace(plain, noise=dataclasses.replace(plain.noise, retries=noise, epsilon_z_retries=0.3))
     whole = Trainer(keys, envs, tmp_path / "whole")
     trained(whole, 240)
     whole.save()

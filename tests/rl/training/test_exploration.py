@@ -84,3 +84,18 @@ def test_a_run_that_is_resumed_knows_of_the_successes_before() -> None:
     assert second.scale(450) == pytest.approx(0.75)
     second.load_state_dict({"explored_from": 7})
     assert second.elapsed(10) == 3, "of a version that waited for nothing"
+
+
+@pytest.mark.parametrize("env_step, elsewhere", [(0, 0.5), (400, 0.3), (2000, 0.0)])
+def test_retries_have_held_actions_however_late(env_step: int, elsewhere: float) -> None:
+    noise = NoiseConfig(start=0.0, end=0.0, decay_steps=1000, epsilon_z=0.5, epsilon_z_start=0.0, epsilon_z_retries=0.2)
+    made = Exploration(TrainRLConfig(out="x", retry_share=0.5, noise=noise), 40, 4, np.random.default_rng(0))
+    for env in range(40):
+        made.begin_episode(env, env_step, again=env < 20)
+    own = np.full((40, 4), 0.5, np.float32)
+    held = np.stack([(made.around(own, env_step) != own).any(axis=1) for _ in range(2000)]).mean(axis=0)
+    assert held[20:].mean() == pytest.approx(elsewhere, abs=0.03)
+    assert held[:20].mean() == pytest.approx(max(elsewhere, 0.2), abs=0.03)
+    for env in range(40):
+        made.begin_episode(env, 2000)
+    assert np.array_equal(made.around(own, 2000), own), "what is no retry has none of it"
