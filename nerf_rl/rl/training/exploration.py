@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from nerf_rl.files.structure import flag, listing
+from nerf_rl.files.structure import flag, listing, whole
 from nerf_rl.rl.config import LATEST_EPISODES, TrainRLConfig
 from nerf_rl.rl.experience.noise import EpsilonZGreedy, Noise, linear_schedule
 
-STRUCTURE = {"awaits_success": flag, "lately": listing(flag)}
+STRUCTURE = {"awaits_success": flag, "lately": listing(flag), "failures": whole()}
 """of what :meth:`Exploration.state_dict` has beside ``explored_from``, which checkpoints of every version hold"""
 _HELD_IN_WARM_UP = 0.8  # of the steps
 
@@ -21,7 +21,8 @@ class Exploration:
     """Turns a policy's actions into those of training: noise is added, and some of them are held random ones.
 
     Both become less by the clock, which begins once ``noise.wait_for_successes`` of the latest training episodes have
-    succeeded: an agent that found a place of rest first is to look further, and one success may be luck.
+    succeeded: an agent that found a place of rest first is to look further, and one success may be luck. So may be two:
+    after ``noise.renew_after`` failures in a row it is as at first again.
 
     Args:
         config: of the run.
@@ -39,12 +40,14 @@ class Exploration:
         self._least = np.zeros(envs)  # standard deviation of each environment's noise in its episode
         self._least_held = np.zeros(envs)  # share of each environment's held actions in its episode
         self._lately: deque[bool] = deque(maxlen=LATEST_EPISODES)
+        self._failures = 0  # in a row, since the clock has begun
         self._since, self._awaits_success = 0, config.noise.wait_for_successes > 0
 
     def begin(self, env_step: int) -> None:
         """Explore as at first, and less and less from this environment step on."""
         self._since, self._awaits_success = env_step, self._config.wait_for_successes > 0
         self._lately.clear()
+        self._failures = 0
 
     def elapsed(self, env_step: int) -> int:
         """Return for how many environment steps exploration has become less."""
@@ -73,6 +76,9 @@ class Exploration:
     def end_episode(self, success: bool | None, env_step: int) -> None:
         """Take note of how an episode ended; None where the scene does not tell, which is nothing to wait for."""
         if not self._awaits_success:
+            self._failures = 0 if success is None or success else self._failures + 1
+            if self._config.renew_after and self._failures >= self._config.renew_after:
+                self.begin(env_step)
             return
         self._lately.append(bool(success))
         if success is None:
@@ -97,12 +103,14 @@ class Exploration:
             "explored_from": self._since,
             "awaits_success": self._awaits_success,
             "lately": list(self._lately),
+            "failures": self._failures,
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on from a checkpoint, perhaps of an earlier version, which waited for nothing."""
         self._since, self._awaits_success = state["explored_from"], state.get("awaits_success", False)
         self._lately = deque(state.get("lately", []), LATEST_EPISODES)
+        self._failures = state.get("failures", 0)
 
     def _decayed(self, start: float, env_step: int) -> float:
         return linear_schedule(start, 0.0, self._config.decay_steps, self.elapsed(env_step))

@@ -99,3 +99,27 @@ def test_retries_have_held_actions_however_late(env_step: int, elsewhere: float)
     for env in range(40):
         made.begin_episode(env, 2000)
     assert np.array_equal(made.around(own, 2000), own), "what is no retry has none of it"
+
+
+@pytest.mark.parametrize("renew_after, anew", [(0, False), (5, True), (6, False)])
+def test_exploration_begins_anew_after_so_many_failures_in_a_row(renew_after: int, anew: bool) -> None:
+    noise = NoiseConfig(start=1.0, end=0.0, decay_steps=1000, wait_for_successes=1, renew_after=renew_after)
+    made = Exploration(TrainRLConfig(out="x", noise=noise), 2, 3, np.random.default_rng(0))
+    for success in [*[False] * 9, True, *[False] * 4, True, *[False] * 4]:
+        made.end_episode(success, 100)
+    assert made.scale(600) == pytest.approx(0.5), "failures before the first success, and fewer in a row, do not count"
+    resumed = Exploration(TrainRLConfig(out="x", noise=noise), 2, 3, np.random.default_rng(0))
+    resumed.load_state_dict(json.loads(json.dumps(made.state_dict())))
+    for each in (made, resumed):
+        each.end_episode(False, 600)
+        assert each.scale(5000) == (1.0 if anew else 0.0), "it waits for a success again"
+        each.end_episode(True, 5000)
+        assert each.scale(5500) == (pytest.approx(0.5) if anew else 0.0)
+
+
+def test_what_does_not_tell_of_success_does_not_fail() -> None:
+    noise = NoiseConfig(start=1.0, end=0.0, decay_steps=1000, wait_for_successes=1, renew_after=2)
+    made = Exploration(TrainRLConfig(out="x", noise=noise), 2, 3, np.random.default_rng(0))
+    for _ in range(9):
+        made.end_episode(None, 0)
+    assert made.scale(1000) == 0.0
