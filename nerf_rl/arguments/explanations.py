@@ -4,6 +4,7 @@ import dataclasses
 import re
 import typing
 from collections.abc import Iterator
+from typing import Any
 
 from nerf_rl.errors import UnknownNameError, UserError
 
@@ -63,12 +64,16 @@ def keys_of(config: type, prefix: str = "") -> Iterator[str]:
     """Yield the dotted keys of a dataclass, those of dataclasses inside lists as ``list.key``."""
     hints = typing.get_type_hints(config)
     for field in dataclasses.fields(config):
-        kind = hints[field.name]
-        inner = [argument for argument in (kind, *typing.get_args(kind)) if dataclasses.is_dataclass(argument)]
-        if inner:
-            yield from keys_of(typing.cast(type, inner[0]), f"{prefix}{field.name}.")
+        if part := part_of(hints[field.name]):
+            yield from keys_of(part, f"{prefix}{field.name}.")
         else:
             yield f"{prefix}{field.name}"
+
+
+def part_of(hint: Any) -> type | None:
+    """Return the dataclass that a key's type is, or is a list or dictionary of; None if there is none."""
+    kinds = (kind for kind in (hint, *typing.get_args(hint)) if dataclasses.is_dataclass(kind))
+    return typing.cast(type | None, next(kinds, None))
 
 
 def _innermost(keys: str) -> str:

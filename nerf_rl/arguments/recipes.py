@@ -6,7 +6,6 @@ file, where keys are expected, and imports or reads it before it finds that it w
 """
 
 import dataclasses
-import functools
 import typing
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 import yaml
 from jsonargparse import get_loader, set_loader
 
-from nerf_rl.arguments.explanations import explain, keys_of
+from nerf_rl.arguments.explanations import explain, keys_of, part_of
 from nerf_rl.errors import MissingFileError
 
 _MOST_BYTES = 1 << 20
@@ -68,8 +67,9 @@ def require_keys(content: Mapping[Any, Any], config: type) -> None:
     for name, value, part in _parts(content, config, ""):
         if not isinstance(value, Mapping):
             raise ValueError(f"{name} must be keys ({', '.join(keys_of(part))}), got {str(value)[:_SHOWN]!r}")
+        known = {field.name for field in dataclasses.fields(part)}
         for key in value:
-            if str(key).partition(".")[0].removesuffix("+") not in typing.get_type_hints(part):
+            if _first_of(key)[0] not in known:
                 raise explain(f"Option '{name}.{key}' is not accepted", config)
 
 
@@ -77,11 +77,10 @@ def _parts(content: Mapping[Any, Any], config: type, prefix: str) -> Iterator[tu
     """Yield the dotted name of each part, what stands there, and the dataclass that it is to be; None is left out."""
     hints = typing.get_type_hints(config)
     for key, value in content.items():
-        first, _, rest = str(key).partition(".")
-        first = first.removesuffix("+")  # which adds to a list
+        first, rest = _first_of(key)
         hint = hints.get(first)
-        part = next((kind for kind in (hint, *typing.get_args(hint)) if dataclasses.is_dataclass(kind)), None)
-        if not isinstance(part, type) or value is None:
+        part = part_of(hint)
+        if part is None or value is None:
             continue
         given = {rest: value} if rest else value
         if typing.get_origin(hint) is dict and isinstance(given, Mapping):
@@ -95,9 +94,14 @@ def _parts(content: Mapping[Any, Any], config: type, prefix: str) -> Iterator[tu
                 yield from _parts(member, part, f"{name}.")
 
 
-@functools.cache
+def _first_of(key: Any) -> tuple[str, str]:
+    """Return the first part of a dotted key, without the sign that adds to a list, and the rest."""
+    first, _, rest = str(key).partition(".")
+    return first.removesuffix("+"), rest
+
+
 def check_all_that_is_read() -> None:
-    """Let the parser refuse, wherever it reads YAML, what grows or nests without end."""
+    """Let the parser refuse, wherever it reads YAML from now on, what grows or nests without end; to be called once."""
     load = get_loader("yaml")
 
     def load_checked(text: str) -> Any:
