@@ -3,7 +3,6 @@
 import copy
 import dataclasses
 import functools
-import itertools
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -38,8 +37,7 @@ def parse_config(config: type, program: str, description: str, arguments: Sequen
     parser = _parser(config, program, description)
     arguments = [re.sub(r"^--[^=]+", lambda key: "--" + key[0][2:].replace("-", "_"), word) for word in arguments]
     arguments = list(_name_positional(arguments, positional)) if positional else arguments
-    for recipe in _recipes(arguments):
-        check_recipe(Path(recipe), config)
+    arguments = list(_check_recipes(arguments, config))
     try:
         namespace = parser.instantiate(parser.parse_args(arguments))
         values = {field.name: namespace[field.name] for field in dataclasses.fields(config)}
@@ -77,13 +75,17 @@ def _parser(config: type, program: str = "", description: str = "") -> ArgumentP
     return parser
 
 
-def _recipes(arguments: Sequence[str]) -> Iterator[str]:
-    """Yield the recipe files that arguments name."""
-    for word, following in itertools.zip_longest(arguments, arguments[1:], fillvalue=""):
-        if word == "--config":
-            yield following
-        elif word.startswith("--config="):
-            yield word.partition("=")[2]
+def _check_recipes(arguments: Sequence[str], config: type) -> Iterator[str]:
+    """Yield the arguments, once each recipe is checked; in place of one that can be read only once stands its text."""
+    words = iter(arguments)
+    for word in words:
+        if word == "--config" and (recipe := next(words, None)) is not None:
+            word = f"--config={recipe}"  # a text may begin with a hyphen
+        if word.startswith("--config="):
+            recipe = word.partition("=")[2]
+            text = check_recipe(Path(recipe), config)
+            word = word if text is None else f"--config={text}"
+        yield word
 
 
 def _name_positional(arguments: Sequence[str], key: str) -> Iterator[str]:

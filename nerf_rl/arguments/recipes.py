@@ -24,33 +24,39 @@ _SHOWN = 60  # characters
 _REMEDY = "give a YAML file such as datasets/drawer-open.yaml; --print_config shows all keys"
 
 
-def check_recipe(path: Path, config: type) -> None:
+def check_recipe(path: Path, config: type) -> str | None:
     """Check that a file is YAML of a size that a recipe can have, with keys wherever a dataclass has keys.
 
-    What is no regular file, such as a pipe, can be read only once and is left to the parser.
-
     Args:
-        path: the file.
+        path: the file; what is none is left to the parser.
         config: the dataclass that it is for.
+
+    Returns:
+        The text of what can be read only once, such as a pipe, and is not left for the parser; else None.
 
     Raises:
         MissingFileError: it is not.
         UserError: a key that there is not.
     """
-    if not path.is_file():
-        return
+    if not path.exists() or path.is_dir():
+        return None
     try:
-        if path.stat().st_size > _MOST_BYTES:
+        with open(path, "rb") as file:
+            read = file.read(_MOST_BYTES + 1)
+        if len(read) > _MOST_BYTES:
             raise ValueError(f"it is larger than {_MOST_BYTES} bytes")
-        text = path.read_text(encoding="utf-8")
+        text = read.decode("utf-8")
         _count(text)
         content = yaml.safe_load(text)
         if isinstance(content, dict) and "config" in content:
             raise ValueError("it has a key 'config', which is for arguments: give each recipe by a --config of its own")
         if isinstance(content, dict):
             require_keys(content, config)
+        elif not path.is_file():
+            raise ValueError("there are no keys in it")
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise MissingFileError("a recipe", path, str(error) or "it cannot be read", _REMEDY) from error
+    return None if path.is_file() else text
 
 
 def require_keys(content: Mapping[Any, Any], config: type) -> None:

@@ -1,5 +1,10 @@
 """Recipes and numbers that somebody hands in: one sentence, before anything is allocated or waits for them."""
 
+import contextlib
+import os
+import sys
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -29,6 +34,50 @@ def test_a_recipe_that_grows_or_nests_without_end_is_told(text: str, fault: str,
     with pytest.raises(UserError) as refusal:
         cli.parse("gen-dataset", [*written.format(tmp_path / "recipe.yaml").split(), "--out", "o"])
     assert fault in str(refusal.value) and "recipe.yaml" in str(refusal.value)
+
+
+@contextlib.contextmanager
+def piped(text: str, folder: Path) -> Iterator[Path]:
+    """A pipe that holds a text, which can be read only once."""
+    path = folder / "pipe"
+    os.mkfifo(path)
+
+    def write() -> None:
+        with open(path, "w") as file, contextlib.suppress(BrokenPipeError):  # whoever reads may have had enough
+            file.write(text)
+            file.flush()
+
+    writer = threading.Thread(target=write, daemon=True)
+    writer.start()
+    yield path
+    writer.join(timeout=60)
+
+
+@pytest.mark.parametrize("written", ["--config {}", "--config={}"])
+def test_a_recipe_may_come_through_a_pipe(written: str, tmp_path: Path):
+    with piped("--- # a hyphen comes first\nsize: 24\nrig: {random: {count: 2}}", tmp_path) as pipe:
+        config = cli.parse("gen-dataset", [*written.format(pipe).split(), "--seed", "3", "--out", "o"])
+    assert (config.size, config.rig.random.count, config.seed) == (24, 2, 3)
+
+
+@pytest.mark.parametrize(
+    "text, fault",
+    [
+        (BOMB, "is not a recipe: it has more than 100000 values"),
+        ("# " + "x" * (1 << 20), "is not a recipe: it is larger than 1048576 bytes"),
+        ("rig: turtledemo", "is not a recipe: rig must be keys"),
+        ("rig: {class_path: turtledemo}", "unknown key 'rig.class_path'"),
+        ("turtledemo", "is not a recipe: there are no keys in it"),
+    ],
+)
+def test_what_comes_through_a_pipe_is_looked_at_as_a_file_is(
+    text: str, fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.delitem(sys.modules, "turtledemo", raising=False)
+    with piped(text, tmp_path) as pipe, pytest.raises(UserError) as refusal:
+        cli.parse("gen-dataset", ["--config", str(pipe), "--out", "o"])
+    assert fault in str(refusal.value)
+    assert "turtledemo" not in sys.modules, "a module that a recipe names is not imported"
 
 
 def test_what_is_no_text_is_no_recipe(tmp_path: Path):
