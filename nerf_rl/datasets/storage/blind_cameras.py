@@ -1,0 +1,42 @@
+"""Cameras that often see nothing of what the others see: they look elsewhere, or something stands before them."""
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+
+_FRAMES = 100  # that are looked at, evenly from all of a dataset
+_LITTLE = 1e-3  # of a picture's pixels, that do not show the background
+_OFTEN = 0.1  # of the frames
+
+
+def blind_cameras(dataset: MultiViewDataset) -> dict[str, float]:
+    """Return the cameras that in a tenth or more of the frames see the background alone, while another one sees more.
+
+    Each of their pictures may be right, but tells an encoder nothing of what moves.
+
+    Returns:
+        The share of such frames, by the camera's name.
+    """
+    frames = np.unique(np.linspace(0, len(dataset) - 1, _FRAMES).round().astype(int)).tolist()
+    sees = np.stack([(dataset.read_labels([frame])[0] != 0).mean((-2, -1)) >= _LITTLE for frame in frames])
+    shares = (~sees & sees.any(1, keepdims=True)).mean(0).tolist()
+    return {name: share for name, share in zip(dataset.camera_names, shares, strict=True) if share >= _OFTEN}
+
+
+def warn_of_blind_cameras(blind: Mapping[str, float], folder: Path) -> None:
+    """Print a warning for each of :func:`blind_cameras`.
+
+    Args:
+        blind: what it returned.
+        folder: of the dataset.
+    """
+    for name, share in blind.items():
+        print(
+            f"warning: camera {name} sees nothing but the background in {share:.0%} of the frames, while others see "
+            f"more: it looks elsewhere, or something stands before it; look at it with nerf-rl view {folder}",
+            file=sys.stderr,
+        )
