@@ -74,9 +74,8 @@ def generate_dataset(config: GenDatasetConfig) -> None:
             "renderer": manifest["renderer"],
             "worker_peak_rss_mb": round(max((shard.peak_rss_mb for shard in done.values()), default=0.0), 1),
         }
-        blind = (
-            {} if config.shard else blind_cameras(MultiViewDataset(record.dataset))
-        )  # shards of a part lie elsewhere
+        # shards of a part lie elsewhere; what they show is told when parts are put together
+        blind = {} if config.shard else blind_cameras(MultiViewDataset(record.dataset))
         write_json(record.folder / SUMMARY, summary | ({"blind_cameras": blind} if blind else {}))
     warn_of_blind_cameras(blind, record.dataset)
     print(f"{record.dataset}: {summary['frames']} frames, {summary['views']} views, {views_per_second:.1f} views/s")
