@@ -65,9 +65,9 @@ def test_a_recipe_may_come_through_a_pipe(written: str, tmp_path: Path):
     [
         (BOMB, "is not a recipe: it has more than 100000 values"),
         ("# " + "x" * (1 << 20), "is not a recipe: it is larger than 1048576 bytes"),
-        ("rig: turtledemo", "is not a recipe: rig must be keys"),
-        ("rig: {class_path: turtledemo}", "unknown key 'rig.class_path'"),
-        ("turtledemo", "is not a recipe: there are no keys in it"),
+        ("rig: turtledemo.Rig", "is not a recipe: rig must be keys"),
+        ("rig: {class_path: turtledemo.Rig}", "unknown key 'rig.class_path'"),
+        ("turtledemo.Rig", "is not a recipe: there are no keys in it"),
     ],
 )
 def test_what_comes_through_a_pipe_is_looked_at_as_a_file_is(

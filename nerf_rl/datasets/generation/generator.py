@@ -10,10 +10,9 @@ from nerf_rl.datasets.generation.manifest import describe
 from nerf_rl.datasets.generation.shard_episodes import open_render_context
 from nerf_rl.datasets.generation.unfinished import OutputRecord
 from nerf_rl.datasets.generation.workers import begin_workers, render_shards
-from nerf_rl.datasets.storage.blind_cameras import blind_cameras, warn_of_blind_cameras
+from nerf_rl.datasets.storage.blind_cameras import warn_of_blind_cameras
 from nerf_rl.datasets.storage.disk import bytes_needed, explain_full_disk, require_space
 from nerf_rl.datasets.storage.finished_shards import FinishedShard, shard_entry, with_shards
-from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.shards import UNFINISHED
 from nerf_rl.files.checksummed_json import write_checksummed
 from nerf_rl.files.json_files import write_json
@@ -74,10 +73,9 @@ def generate_dataset(config: GenDatasetConfig) -> None:
             "renderer": manifest["renderer"],
             "worker_peak_rss_mb": round(max((shard.peak_rss_mb for shard in done.values()), default=0.0), 1),
         }
-        # shards of a part lie elsewhere; what they show is told when parts are put together
-        blind = {} if config.shard else blind_cameras(MultiViewDataset(record.dataset))
-        write_json(record.folder / SUMMARY, summary | ({"blind_cameras": blind} if blind else {}))
-    warn_of_blind_cameras(blind, record.dataset)
+        if not config.shard:  # shards of a part lie elsewhere; merge tells what they show
+            summary |= warn_of_blind_cameras(record.dataset)
+        write_json(record.folder / SUMMARY, summary)
     print(f"{record.dataset}: {summary['frames']} frames, {summary['views']} views, {views_per_second:.1f} views/s")
 
 

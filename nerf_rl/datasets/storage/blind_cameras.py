@@ -1,7 +1,6 @@
 """Cameras that often see nothing of what the others see: they look elsewhere, or something stands before them."""
 
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -27,16 +26,13 @@ def blind_cameras(dataset: MultiViewDataset) -> dict[str, float]:
     return {name: share for name, share in zip(dataset.camera_names, shares, strict=True) if share >= _OFTEN}
 
 
-def warn_of_blind_cameras(blind: Mapping[str, float], folder: Path) -> None:
-    """Print a warning for each of :func:`blind_cameras`.
-
-    Args:
-        blind: what it returned.
-        folder: of the dataset.
-    """
+def warn_of_blind_cameras(folder: Path) -> dict[str, dict[str, float]]:
+    """Print a warning for each of a dataset's :func:`blind_cameras`; return what its summary is to say of them."""
+    blind = blind_cameras(MultiViewDataset(folder))
     for name, share in blind.items():
         print(
             f"warning: camera {name} sees nothing but the background in {share:.0%} of the frames, while others see "
             f"more: it looks elsewhere, or something stands before it; look at it with nerf-rl view {folder}",
             file=sys.stderr,
         )
+    return {"blind_cameras": blind} if blind else {}

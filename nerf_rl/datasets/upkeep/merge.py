@@ -5,10 +5,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from nerf_rl.datasets.storage.blind_cameras import blind_cameras, warn_of_blind_cameras
+from nerf_rl.datasets.storage.blind_cameras import warn_of_blind_cameras
 from nerf_rl.datasets.storage.disk import explain_full_disk, require_space
 from nerf_rl.datasets.storage.plan import PLAN, begun_plan, same_content
-from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.shards import MANIFEST, PARTS, SHARDS, sha256_of, shard_file
 from nerf_rl.datasets.upkeep.merge_config import MergeConfig
 from nerf_rl.errors import FailureError, MissingFileError, UserError
@@ -69,9 +68,8 @@ def merge(config: MergeConfig) -> None:
             "renderer": manifest["renderer"],
             "worker_peak_rss_mb": max(made["worker_peak_rss_mb"] for made in summaries),
         }
-        blind = blind_cameras(MultiViewDataset(out))
-        write_json(out / SUMMARY, summary | ({"blind_cameras": blind} if blind else {}))
-    warn_of_blind_cameras(blind, out)
+        summary |= warn_of_blind_cameras(out)
+        write_json(out / SUMMARY, summary)
     print(f"{out}: {summary['frames']} frames, {summary['views']} views of {len(parts)} parts")
 
 
