@@ -8,6 +8,7 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # there is a test on each core: their threads would wait for each other
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # where a test asks for threads, they wait without using the cores
 
+import annotations  # noqa: F401  before anything of the package, whose annotations it makes cheaper to check
 import lightning  # noqa: F401  before anything renders: Triton, which it loads, crashes after software OpenGL's LLVM
 import pytest
 import torch
