@@ -44,8 +44,18 @@ def test_an_axis_of_one_name_has_one_length():
         length_error(np.ones((3, 1)), np.zeros((2, 1)))
 
 
-def test_a_function_without_arrays_takes_and_returns_what_it_says():
+def test_a_function_without_arrays_takes_what_it_says():
     with pytest.raises(beartype.roar.BeartypeCallHintViolation, match="write_json"):
         write_json("a path that is a string", {})  # type: ignore[arg-type]
     with pytest.raises(beartype.roar.BeartypeCallHintViolation, match="parse_seeds"):
         parse_seeds(7)  # type: ignore[arg-type]
+
+
+def test_a_function_without_arrays_returns_what_it_says():
+    @jaxtyping.jaxtyped(typechecker=beartype.beartype)
+    def count(said: Any) -> int:
+        return said
+
+    assert count(3) == 3
+    with pytest.raises(beartype.roar.BeartypeCallHintViolation, match="count"):
+        count("three")
