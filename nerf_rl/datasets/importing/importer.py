@@ -9,6 +9,7 @@ from nerf_rl.datasets.importing.config import ImportConfig
 from nerf_rl.datasets.importing.content import Content, decide_content
 from nerf_rl.datasets.importing.frame_rows import episode_rows
 from nerf_rl.datasets.importing.open_source import open_source
+from nerf_rl.datasets.storage.blind_cameras import warn_of_blind_cameras
 from nerf_rl.datasets.storage.disk import bytes_needed, explain_full_disk, require_space
 from nerf_rl.datasets.storage.finished_shards import FinishedShard, shard_attributes, shard_entry, with_shards
 from nerf_rl.datasets.storage.output_record import DatasetRecord
@@ -72,7 +73,7 @@ def import_dataset(config: ImportConfig) -> None:
             "absent": list(content.source.absent),
             "peak_rss_mb": round(peak_rss_mb(), 1),
         }
-        write_json(record.folder / SUMMARY, summary)
+        write_json(record.folder / SUMMARY, summary | warn_of_blind_cameras(record.dataset))
     print(f"{record.dataset}: {total} frames, {total * views} views, {rate:.1f} views/s")
 
 

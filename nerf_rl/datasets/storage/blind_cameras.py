@@ -15,7 +15,8 @@ _OFTEN = 0.1  # of the frames
 def blind_cameras(dataset: MultiViewDataset) -> dict[str, float]:
     """Return the cameras that in a tenth or more of the frames see the background alone, while another one sees more.
 
-    Each of their pictures may be right, but tells an encoder nothing of what moves.
+    Each of their pictures may be right, but tells an encoder nothing of what moves. Nothing is known of pictures that
+    have no labels, as imported ones may be.
 
     Returns:
         The share of such frames, by the camera's name.

@@ -154,6 +154,7 @@ def test_pictures_alone_are_enough_for_a_field_of_colours(tmp_path: Path, capsys
     write_capture(tmp_path / "capture")
     dataset = read(tmp_path / "capture", tmp_path / "data")
     assert dataset.absent == ("depth", "labels", "state") and dataset.views("encoder") == [0, 1, 2]
+    assert "warning" not in capsys.readouterr().err  # of cameras that see nothing, of which labels tell
     assert (dataset.manifest["height"], dataset.manifest["width"]) == (HEIGHT, WIDTH)
     assert dataset.read("split").sum() == 1 and len(set(dataset.read("episode").tolist())) == 4
     command = ["pretrain", "--config", str(PRETRAIN / "demo.yaml"), "--data", str(dataset.folder)]

@@ -60,6 +60,16 @@ def test_parts_tell_of_them_when_they_are_put_together(
     assert read_json(tmp_path / "data" / "summary.json")["blind_cameras"] == BLIND
 
 
+def test_imported_pictures_are_looked_at_too(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert cli.main([*words, "--out", str(tmp_path / "data")]) == 0
+    assert cli.main(["export", str(tmp_path / "data"), "--out", str(tmp_path / "scenes")]) == 0
+    capsys.readouterr()
+    nothing = ["--empty_depth", "nothing", "--out", str(tmp_path / "back")]
+    assert cli.main(["import", str(tmp_path / "scenes"), *nothing]) == 0
+    assert capsys.readouterr().err.count("warning: camera") == len(BLIND)
+    assert read_json(tmp_path / "back" / "summary.json")["blind_cameras"] == BLIND
+
+
 def test_where_all_cameras_see_something_or_none_does_there_is_nothing_to_tell(
     words: list[str], tiny_dataset: Path, tmp_path: Path
 ):
