@@ -1,15 +1,16 @@
 """What the viewer shows of a dataset, checked against the dataset by other routes."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from nerf_rl.cameras.geometry import project
-from nerf_rl.datasets.storage.frames import named_points, read_columns, read_frame
+from nerf_rl.datasets.storage.frames import EpisodeColumns, named_points, read_columns, read_frame
 from nerf_rl.datasets.storage.point_cloud import fuse_views, unproject
 from nerf_rl.datasets.storage.reader import MultiViewDataset
-from nerf_rl.viewer.drawing.charts import columns_chart, statistics_chart
+from nerf_rl.viewer.drawing.charts import columns_chart, statistics_charts
 from nerf_rl.viewer.drawing.pictures import camera_strip, depth_limits, depth_scale, heat, legend
 from nerf_rl.viewer.drawing.statistics import sample_statistics
 from nerf_rl.viewer.timeline import Timeline
@@ -109,5 +110,16 @@ def test_statistics_are_those_of_the_first_frames(dataset: MultiViewDataset) -> 
 def test_charts_are_not_blank(dataset: MultiViewDataset) -> None:
     columns = read_columns(dataset, range(3))
     assert np.array_equal(columns.columns["reward"], dataset.read("reward", [0, 1, 2]))
-    for chart in (statistics_chart(sample_statistics(dataset), dataset.palette), columns_chart(columns, 2.0)):
+    charts = statistics_charts(sample_statistics(dataset), dataset.palette)
+    assert len(charts) == 2  # where episodes begin, shares of classes
+    for chart in (*charts, columns_chart(columns, 2.0)):
         assert chart.ndim == 3 and chart.std() > 10
+
+
+def test_a_dataset_without_a_state_has_a_chart_of_what_there_is() -> None:
+    columns = EpisodeColumns(np.arange(3.0), {"reward": np.array([0.0, 1.0, 0.5])})
+    with warnings.catch_warnings(action="error"):  # as of a legend without names
+        chart = columns_chart(columns).astype(int)
+    is_line = np.abs(chart - (31, 119, 180)).max(-1) < 8  # Matplotlib's first colour
+    left, right = np.array_split(is_line, 2, axis=1)
+    assert left.sum() > 100 and right.sum() > 100

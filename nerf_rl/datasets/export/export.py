@@ -18,6 +18,7 @@ from nerf_rl.datasets.export.seen import Seen, seen_in_frame
 from nerf_rl.datasets.storage.frames import in_world, read_frame
 from nerf_rl.datasets.storage.point_cloud import write_point_cloud
 from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.stored_manifest import DEPTH
 from nerf_rl.errors import UnknownNameError, UserError
 from nerf_rl.files.json_files import write_json
 from nerf_rl.files.outputs import SUMMARY, check_output, prepare_output, write_provenance
@@ -28,7 +29,8 @@ def export(config: ExportConfig) -> None:
     """Write what was chosen of a dataset to ``config.out``; the formats are described in datasets/README.md.
 
     Raises:
-        UserError: no such dataset, frame, episode, class or camera; the output folder is in use; an extra is missing.
+        UserError: no such dataset, frame, episode, class or camera; the dataset lacks what the format is made of; the
+            output folder is in use; an extra is missing.
     """
     dataset, out = MultiViewDataset(config.dataset), Path(config.out)
     check_output(out, config.overwrite)
@@ -59,6 +61,8 @@ def _frame_by_frame(dataset: MultiViewDataset, config: ExportConfig) -> Callable
     for name in config.exclude:
         if name not in dataset.class_names:
             raise UnknownNameError("class", name, dataset.class_names)
+    if DEPTH in dataset.absent and config.format in ("pointcloud", "mesh"):
+        raise UserError(f"{dataset.folder} has no depth, which --format {config.format} is made of; use nerfstudio")
     if config.format == "mesh":
         load_open3d()
     write_frame: dict[str, Callable[[Seen, Path], None]] = {

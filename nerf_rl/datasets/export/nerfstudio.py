@@ -14,6 +14,7 @@ from numpy import ndarray
 from nerf_rl.datasets.export.seen import Seen
 from nerf_rl.datasets.storage.point_cloud import write_point_cloud
 from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.stored_manifest import DEPTH, LABELS
 from nerf_rl.files.atomic import atomic_write
 from nerf_rl.files.json_files import write_json
 
@@ -24,6 +25,8 @@ _MOST_UNITS = 65535
 def write_scene(folder: Path, seen: Seen, dataset: MultiViewDataset, masks: bool) -> None:
     """Write one frame as a scene folder; ``transforms.json`` comes last.
 
+    There is no depth, no fused points and no labels of a dataset that lacks them.
+
     Args:
         folder: to make.
         seen: the frame and what of it counts.
@@ -31,15 +34,16 @@ def write_scene(folder: Path, seen: Seen, dataset: MultiViewDataset, masks: bool
         masks: whether to write masks of the classes that count; training ignores the other pixels.
     """
     frame, depth, kept = seen.frame, seen.depth(), seen.kept()
+    has_depth, has_labels = DEPTH not in frame.absent, LABELS not in frame.absent
     entries = []
     for view, name in enumerate(dataset.camera_names):
-        millimetres = np.round(depth[view] / _METRES_PER_UNIT)
-        millimetres[millimetres > _MOST_UNITS] = 0  # too far for 16 bits: unknown
-        images = {
-            "file_path": ("images", frame.rgb[view][..., ::-1]),
-            "depth_file_path": ("depths", millimetres.astype(np.uint16)),
-            "semantic_path": ("semantics", frame.semantic[view]),
-        }
+        images = {"file_path": ("images", frame.rgb[view][..., ::-1])}
+        if has_depth:
+            millimetres = np.round(depth[view] / _METRES_PER_UNIT)
+            millimetres[millimetres > _MOST_UNITS] = 0  # too far for 16 bits: unknown
+            images["depth_file_path"] = ("depths", millimetres.astype(np.uint16))
+        if has_labels:
+            images["semantic_path"] = ("semantics", frame.semantic[view])
         if masks:
             images["mask_path"] = ("masks", np.where(kept[view], 255, 0).astype(np.uint8))
         entry = {}
@@ -62,7 +66,8 @@ def write_scene(folder: Path, seen: Seen, dataset: MultiViewDataset, masks: bool
                 "transform_matrix": world_from_opengl_camera(frame.camera_from_world[view]).tolist(),
             }
         )
-    write_point_cloud(folder / "points.ply", seen.cloud())
+    if has_depth:
+        write_point_cloud(folder / "points.ply", seen.cloud())
     held_out = dataset.views("test")
     split = {
         "train_filenames": [entry["file_path"] for view, entry in enumerate(entries) if view not in held_out],
@@ -71,10 +76,9 @@ def write_scene(folder: Path, seen: Seen, dataset: MultiViewDataset, masks: bool
     }
     transforms = {
         "camera_model": "OPENCV",
-        "depth_unit_scale_factor": _METRES_PER_UNIT,
-        "ply_file_path": "points.ply",
+        **({"depth_unit_scale_factor": _METRES_PER_UNIT, "ply_file_path": "points.ply"} if has_depth else {}),
         **(split if held_out else {}),
-        "semantic_classes": dataset.manifest["classes"],
+        **({"semantic_classes": dataset.manifest["classes"]} if has_labels else {}),
         "source": {
             "frame": frame.index,
             "episode": frame.episode,

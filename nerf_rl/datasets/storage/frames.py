@@ -39,6 +39,8 @@ class Frame:
     """named positions of the true state [m], such as hand and handle"""
     origin: Float[ndarray, "3"]
     """of the tracking frame, in the world [m]; zero without one"""
+    absent: tuple[str, ...] = ()
+    """what of ``depth``, ``labels`` and ``state`` the dataset lacks, so that it is made up here"""
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class EpisodeColumns:
     steps: Float[ndarray, "N"]
     """environment steps since the reset"""
     columns: dict[str, Float[ndarray, "N"]]
-    """true state [m], proprioception, actions and reward by name"""
+    """true state [m], proprioception, actions and reward by name; none of pictures alone"""
 
 
 def read_frame(dataset: MultiViewDataset, index: int) -> Frame:
@@ -72,6 +74,7 @@ def read_frame(dataset: MultiViewDataset, index: int) -> Frame:
         float(dataset.manifest["far"]),
         named_points(dataset.columns("privileged"), dataset.tracked_positions([index])[0]),
         dataset.tracking_origins([index])[0],
+        dataset.absent,
     )
 
 
@@ -99,5 +102,6 @@ def read_columns(dataset: MultiViewDataset, frames: range) -> EpisodeColumns:
         values = dataset.read(f"state/{group}", frames).astype(np.float64)
         for i, name in enumerate(dataset.columns(group)):
             columns.setdefault(name, values[:, i])
-    columns["reward"] = dataset.read("reward", frames).astype(np.float64)
+    if columns:
+        columns["reward"] = dataset.read("reward", frames).astype(np.float64)
     return EpisodeColumns(dataset.read("step", frames).astype(np.float64), columns)

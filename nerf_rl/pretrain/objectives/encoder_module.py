@@ -164,6 +164,11 @@ class EncoderModule(lightning.LightningModule):
         return self.trainer.state.fn == TrainerFn.FITTING and not self.trainer.sanity_checking
 
     @property
+    def absent(self) -> tuple[str, ...]:
+        """What of ``depth``, ``labels`` and ``state`` the dataset lacks."""
+        return self._dataset.absent
+
+    @property
     def palette(self) -> np.ndarray:
         """Colours of the semantic classes, u8 [C, 3]."""
         return self._dataset.palette

@@ -13,38 +13,21 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def statistics_chart(statistics: Statistics, palette: UInt8[ndarray, "C 3"]) -> UInt8[ndarray, "A B 3"]:
-    """Return where episodes begin, and the share of each class in the pixels."""
-    figure = _figure(4.4, 5.6)
-    top, bottom = figure.subplots(2, 1, gridspec_kw={"height_ratios": [3, 2]})
-    for name, places in statistics.resets.items():
-        top.scatter(places[:, 0], places[:, 1], s=9, alpha=0.6, label=_literal(name))
-    top.set(
-        xlabel="x [m]",
-        ylabel="y [m]",
-        title="where episodes begin (first frames)",
-        aspect="equal",
-        adjustable="datalim",
-    )
-    if statistics.resets:
-        top.legend(fontsize=8)
-    names = list(statistics.class_shares)[::-1]
-    shares = [100 * statistics.class_shares[name] for name in names]
-    bars = bottom.barh([_literal(name) for name in names], shares, color=palette[::-1] / 255.0)
-    bottom.bar_label(bars, fmt="%.1f", padding=3, fontsize=8)
-    bottom.set(xlabel="share of pixels [%]")
-    bottom.margins(x=0.15)
-    return rasterise(figure)
+def statistics_charts(statistics: Statistics, palette: UInt8[ndarray, "C 3"]) -> list[UInt8[ndarray, "_ _ 3"]]:
+    """Return where episodes begin, and the share of each class in the pixels; of these what is known."""
+    charts = [_resets_chart(statistics.resets)] if statistics.resets else []
+    return charts + ([_shares_chart(statistics.class_shares, palette)] if statistics.class_shares else [])
 
 
 def columns_chart(columns: EpisodeColumns, now: float | None = None) -> UInt8[ndarray, "A B 3"]:
-    """Return the columns along an episode; ``now`` marks a step."""
+    """Return the columns along an episode, of which there is one at least; ``now`` marks a step."""
+    acted = [name for name in columns.columns if name.startswith("action") or name == "reward"]
+    state = [name for name in columns.columns if name not in acted]  # imported pictures have none
+    groups = [names for names in (state, acted) if names]
     figure = _figure(7.0, 3.2)
-    state, acted = figure.subplots(1, 2)
-    for name, values in columns.columns.items():
-        axes = acted if name.startswith("action") or name == "reward" else state
-        axes.plot(columns.steps, values, marker=".", label=_literal(name))
-    for axes in (state, acted):
+    for axes, names in zip(np.atleast_1d(figure.subplots(1, len(groups))), groups, strict=True):
+        for name in names:
+            axes.plot(columns.steps, columns.columns[name], marker=".", label=_literal(name))
         axes.set(xlabel="environment step")
         axes.legend(fontsize=6, ncols=2)
         if now is not None:
@@ -81,6 +64,30 @@ def _literal(name: str) -> str:
     """Return a name such that Matplotlib draws it as it is: dollars begin no formula, an underscore hides no label."""
     escaped = name.replace("$", r"\$")
     return f" {escaped}" if escaped.startswith("_") else escaped
+
+
+def _resets_chart(resets: dict[str, Float[ndarray, "_ 2"]]) -> UInt8[ndarray, "A B 3"]:
+    figure = _figure(4.4, 3.4)
+    axes = figure.subplots()
+    for name, places in resets.items():
+        axes.scatter(places[:, 0], places[:, 1], s=9, alpha=0.6, label=_literal(name))
+    title = "where episodes begin (first frames)"
+    axes.set(xlabel="x [m]", ylabel="y [m]", title=title, aspect="equal", adjustable="datalim")
+    axes.legend(fontsize=8)
+    return rasterise(figure)
+
+
+def _shares_chart(shares: dict[str, float], palette: UInt8[ndarray, "C 3"]) -> UInt8[ndarray, "A B 3"]:
+    figure = _figure(4.4, 2.2)
+    axes = figure.subplots()
+    names = list(shares)[::-1]
+    bars = axes.barh(
+        [_literal(name) for name in names], [100 * shares[name] for name in names], color=palette[::-1] / 255.0
+    )
+    axes.bar_label(bars, fmt="%.1f", padding=3, fontsize=8)
+    axes.set(xlabel="share of pixels [%]")
+    axes.margins(x=0.15)
+    return rasterise(figure)
 
 
 def _figure(width: float, height: float) -> "Figure":

@@ -9,6 +9,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from nerf_rl.datasets.storage.frames import Frame
+from nerf_rl.datasets.storage.stored_manifest import DEPTH, LABELS
 from nerf_rl.pictures.images import colour_depth, colour_labels, surface_limits
 
 _BACKGROUND = 255
@@ -42,9 +43,13 @@ def stack(rows: Sequence[UInt8[ndarray, "_ _ 3"]], gap: int = 4) -> UInt8[ndarra
 def camera_strip(
     frame: Frame, view: int, palette: UInt8[ndarray, "C 3"], depth_range: tuple[float, float], height: int = 128
 ) -> UInt8[ndarray, "A B 3"]:
-    """Return what one camera saw: colours, labels, depth."""
-    labels = colour_labels(frame.semantic[view], palette)
-    return side_by_side([frame.rgb[view], labels, colour_depth(frame.depth[view], *depth_range)], height)
+    """Return what one camera saw: colours, labels, depth; of these what there is."""
+    pictures = [frame.rgb[view]]
+    if LABELS not in frame.absent:
+        pictures.append(colour_labels(frame.semantic[view], palette))
+    if DEPTH not in frame.absent:
+        pictures.append(colour_depth(frame.depth[view], *depth_range))
+    return side_by_side(pictures, height)
 
 
 def depth_scale(depth_range: tuple[float, float], width: int = 392, ticks: int = 5) -> UInt8[ndarray, "40 width 3"]:

@@ -8,6 +8,7 @@ from numpy import ndarray
 
 from nerf_rl.datasets.storage.frames import named_points
 from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.stored_manifest import LABELS
 from nerf_rl.viewer.timeline import Timeline
 
 
@@ -18,7 +19,7 @@ class Statistics:
     resets: dict[str, Float[ndarray, "E 2"]]
     """horizontal position [m] of each named thing in the first frame of E episodes"""
     class_shares: dict[str, float]
-    """share of all pixels of those frames"""
+    """share of all pixels of those frames; none where the dataset has no labels"""
 
 
 def sample_statistics(dataset: MultiViewDataset, episodes: int = 200) -> Statistics:
@@ -37,8 +38,9 @@ def sample_statistics(dataset: MultiViewDataset, episodes: int = 200) -> Statist
         for name, (x, y, _) in named_points(dataset.columns("privileged"), values).items():
             resets.setdefault(name, []).append((x, y))
         pixels += np.bincount(dataset.read_labels([frame]).ravel(), minlength=len(pixels))[: len(pixels)]
-    shares = (pixels / max(1, pixels.sum())).tolist()
+    names = () if LABELS in dataset.absent else dataset.class_names
+    shares = (pixels / max(1, pixels.sum()))[: len(names)].tolist()
     return Statistics(
         {name: np.array(places) for name, places in resets.items()},
-        dict(zip(dataset.class_names, shares, strict=True)),
+        dict(zip(names, shares, strict=True)),
     )

@@ -11,10 +11,12 @@ from torch import Tensor
 
 from nerf_rl.datasets.storage.frames import Frame
 from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.stored_manifest import DEPTH
 from nerf_rl.pretrain.measures.linear_probe import encode_frames, linear_probe
 from nerf_rl.pretrain.model.conditioned_field import ConditionedField
 from nerf_rl.pretrain.model.encoder import Encoder
 from nerf_rl.pretrain.model.field import RadianceField
+from nerf_rl.viewer.drawing.pictures import depth_limits
 
 
 class EncodedDataset:
@@ -37,6 +39,11 @@ class EncodedDataset:
     def latent(self, frame: Frame) -> Float[Tensor, "Z"]:
         """Return a frame's latent, not standardised."""
         return self.encoder.encode(torch.from_numpy(frame.rgb[self._views])[None])[0]
+
+    def depth_limits(self, frame: Frame) -> tuple[float, float]:
+        """Return limits [m] for the colours of depth: those of a frame, or where the field ends if it has no depth."""
+        bounds = self.field.bounds
+        return (bounds.near, bounds.far) if DEPTH in frame.absent else depth_limits(frame)
 
     def folded(self, latent: Float[Tensor, "Z"]) -> ConditionedField:
         """Return the field of the scene that a latent describes."""

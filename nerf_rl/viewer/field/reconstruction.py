@@ -7,6 +7,7 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from nerf_rl.datasets.storage.frames import Frame
+from nerf_rl.datasets.storage.stored_manifest import DEPTH, LABELS
 from nerf_rl.pictures.images import colour_depth, colour_labels
 from nerf_rl.pretrain.model.conditioned_field import ConditionedField
 from nerf_rl.pretrain.model.ray_rendering import RenderedImages
@@ -46,19 +47,28 @@ def comparison(
     """Return three rows, truth, rendering and error, of colours, labels and depth.
 
     Errors are black where there is none, and bright from 0.3 in colour and 0.1 m in depth; wrong labels are white.
-    Depth counts where the truth is nearer than ``far`` [m], since the field ends there.
+    Depth counts where the truth is nearer than ``far`` [m], since the field ends there. Of a dataset without depth,
+    that of the field is shown alone; without labels, the field has learnt none.
     """
     truth = camera_strip(frame, view, palette, depth_range, height)
-    colours = (255 * rendered.rgb[0]).round().astype(np.uint8)
-    labels = colour_labels(rendered.semantic[0], palette)
-    decoded = side_by_side([colours, labels, colour_depth(rendered.depth[0], *depth_range)], height)
-    return stack([truth, decoded, side_by_side(errors(frame, view, rendered, far), height)])
+    decoded = [(255 * rendered.rgb[0]).round().astype(np.uint8)]
+    if LABELS not in frame.absent:
+        decoded.append(colour_labels(rendered.semantic[0], palette))
+    decoded.append(colour_depth(rendered.depth[0], *depth_range))
+    rows = [truth, side_by_side(decoded, height), side_by_side(errors(frame, view, rendered, far), height)]
+    return stack(rows)
 
 
 def errors(frame: Frame, view: int, rendered: RenderedImages, far: float) -> list[UInt8[ndarray, "H W 3"]]:
-    """Return heat maps of the errors in colour, labels and depth, the latter where the truth is nearer than ``far``."""
-    colour = np.abs(rendered.rgb[0] - frame.rgb[view] / 255.0).mean(-1)
-    wrong = np.where(rendered.semantic[0] != frame.semantic[view], 255, 0).astype(np.uint8)
-    depth = np.where(frame.depth[view] < far, np.abs(rendered.depth[0] - frame.depth[view]), 0.0)
-    wrong_labels = np.repeat(wrong[..., None], 3, axis=-1)
-    return [heat(colour, _MOST_COLOUR_ERROR), wrong_labels, heat(depth, _MOST_DEPTH_ERROR)]
+    """Return heat maps of the errors in colour, labels and depth, the latter where the truth is nearer than ``far``.
+
+    There is none of what the frame's dataset lacks.
+    """
+    maps = [heat(np.abs(rendered.rgb[0] - frame.rgb[view] / 255.0).mean(-1), _MOST_COLOUR_ERROR)]
+    if LABELS not in frame.absent:
+        wrong = np.where(rendered.semantic[0] != frame.semantic[view], 255, 0).astype(np.uint8)
+        maps.append(np.repeat(wrong[..., None], 3, axis=-1))
+    if DEPTH not in frame.absent:
+        depth = np.where(frame.depth[view] < far, np.abs(rendered.depth[0] - frame.depth[view]), 0.0)
+        maps.append(heat(depth, _MOST_DEPTH_ERROR))
+    return maps

@@ -1,6 +1,9 @@
 """``nerf-rl view DATASET``: serve its page, or save it."""
 
+from numpy import ndarray
+
 from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.stored_manifest import LABELS
 from nerf_rl.viewer.config import ViewConfig
 
 
@@ -20,7 +23,7 @@ def serve_dataset(config: ViewConfig, dataset: MultiViewDataset) -> None:
 def save_dataset(config: ViewConfig, dataset: MultiViewDataset) -> None:
     """Write the files asked for."""
     from nerf_rl.datasets.storage.frames import read_columns, read_frame
-    from nerf_rl.viewer.drawing.charts import columns_chart, statistics_chart
+    from nerf_rl.viewer.drawing.charts import columns_chart, statistics_charts
     from nerf_rl.viewer.drawing.pictures import camera_strip, depth_limits
     from nerf_rl.viewer.drawing.slides import chosen_frames, dataset_slides
     from nerf_rl.viewer.drawing.statistics import sample_statistics
@@ -30,14 +33,17 @@ def save_dataset(config: ViewConfig, dataset: MultiViewDataset) -> None:
     frames = chosen_frames(dataset, config.frames)
     limits = depth_limits(read_frame(dataset, 0))
     timeline = Timeline(dataset)
+
+    def charts() -> list[ndarray]:
+        columns = read_columns(dataset, timeline.frames(timeline.first))
+        found = statistics_charts(sample_statistics(dataset), dataset.palette)
+        return found + ([columns_chart(columns)] if columns.columns else [])
+
     save(
         config.files,
         f"{dataset.manifest['scene']['name']}: dataset",
         dataset_slides(dataset, frames, lambda frame, view: camera_strip(frame, view, dataset.palette, limits)),
-        (dataset.class_names, dataset.palette),
-        lambda: [
-            statistics_chart(sample_statistics(dataset), dataset.palette),
-            columns_chart(read_columns(dataset, timeline.frames(timeline.first))),
-        ],
+        None if LABELS in dataset.absent else (dataset.class_names, dataset.palette),
+        charts,
         lambda: record_scene(dataset, frames[:12]),
     )

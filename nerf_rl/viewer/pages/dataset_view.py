@@ -9,7 +9,8 @@ import viser
 
 from nerf_rl.datasets.storage.frames import EpisodeColumns, Frame, read_columns, read_frame
 from nerf_rl.datasets.storage.reader import MultiViewDataset
-from nerf_rl.viewer.drawing.charts import statistics_chart
+from nerf_rl.datasets.storage.stored_manifest import DEPTH, LABELS, STATE
+from nerf_rl.viewer.drawing.charts import statistics_charts
 from nerf_rl.viewer.drawing.pictures import camera_strip, depth_scale, legend
 from nerf_rl.viewer.drawing.statistics import sample_statistics
 from nerf_rl.viewer.newest import NewestOnly
@@ -66,13 +67,18 @@ class DatasetView:
             self.scene = ScenePanel(server, dataset, first, self.redraw)
         panel = gui.add_panel()
         with panel.add_tab("Cameras", viser.Icon.CAMERA):
-            gui.add_html(legend(dataset.class_names, dataset.palette))
-            gui.add_image(depth_scale(self.scene.depth_range), format="png")
+            if LABELS not in dataset.absent:
+                gui.add_html(legend(dataset.class_names, dataset.palette))
+            if DEPTH not in dataset.absent:
+                gui.add_image(depth_scale(self.scene.depth_range), format="png")
             names = {view: dataset.camera_names[view] for view in (views or range(len(dataset.camera_names)))}
             self.cameras = CameraPanel(gui, names, draw or self._strip)
-        with panel.add_tab("Episode", viser.Icon.CHART_LINE):
-            self.columns = ColumnsPanel(gui, list(read_columns(dataset, range(1)).columns))
-        self.statistics_tab = panel.add_tab("Dataset", viser.Icon.CHART_BAR)
+        self.columns: ColumnsPanel | None = None
+        if columns := list(read_columns(dataset, range(1)).columns):
+            with panel.add_tab("Episode", viser.Icon.CHART_LINE):
+                self.columns = ColumnsPanel(gui, columns)
+        is_told = not {LABELS, STATE} <= set(dataset.absent)
+        self.statistics_tab = panel.add_tab("Dataset", viser.Icon.CHART_BAR) if is_told else None
         self.panel = panel
         panel.dock_left()
         panel.set_width(430)
@@ -84,13 +90,17 @@ class DatasetView:
 
     def gather_statistics(self) -> None:
         """Draw the dataset's statistics once a page has its first pictures, in a thread of their own."""
+        tab = self.statistics_tab
+        if tab is None:
+            return
 
         def gather() -> None:
             self._connected.wait()
             time.sleep(_STATISTICS_PAUSE)
-            chart = statistics_chart(sample_statistics(self.dataset), self.dataset.palette)
-            with self.statistics_tab:
-                self.server.gui.add_image(chart, format="png")
+            charts = statistics_charts(sample_statistics(self.dataset), self.dataset.palette)
+            with tab:
+                for chart in charts:
+                    self.server.gui.add_image(chart, format="png")
 
         threading.Thread(target=gather, daemon=True).start()
 
@@ -104,14 +114,16 @@ class DatasetView:
         frame = read_frame(self.dataset, index)
         self._scene_worker.order(frame)
         self.cameras.show(frame)
-        frames = self._timeline.frames(frame.episode)
-        if self._columns is None or self._columns[0] != frames:
-            self._columns = frames, read_columns(self.dataset, frames)
-        self.columns.show(self._columns[1], frame.step)
-        outcome = "success" if frame.success else "no success yet"
+        outcome = ""
+        if self.columns is not None:
+            frames = self._timeline.frames(frame.episode)
+            if self._columns is None or self._columns[0] != frames:
+                self._columns = frames, read_columns(self.dataset, frames)
+            self.columns.show(self._columns[1], frame.step)
+            outcome = ", success" if frame.success else ", no success yet"
         self.status.content = (
             f"frame **{index}** of {len(self.dataset)}, episode **{frame.episode}**, "
-            f"step **{frame.step}**, {frame.split}, {outcome}"
+            f"step **{frame.step}**, {frame.split}{outcome}"
         )
         for companion in self.companions:
             companion.show(frame, stale)

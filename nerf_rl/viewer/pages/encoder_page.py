@@ -54,8 +54,8 @@ def serve_encoder(config: ViewConfig, dataset: MultiViewDataset, folder: Path) -
 def save_encoder(config: ViewConfig, dataset: MultiViewDataset, folder: Path) -> None:
     """Write the files asked for: each camera's truth, rendering and error."""
     from nerf_rl.datasets.storage.frames import Frame, read_frame
-    from nerf_rl.viewer.drawing.charts import statistics_chart
-    from nerf_rl.viewer.drawing.pictures import depth_limits
+    from nerf_rl.datasets.storage.stored_manifest import LABELS
+    from nerf_rl.viewer.drawing.charts import statistics_charts
     from nerf_rl.viewer.drawing.slides import chosen_frames, dataset_slides
     from nerf_rl.viewer.drawing.statistics import sample_statistics
     from nerf_rl.viewer.field.latents import EncodedDataset
@@ -63,7 +63,7 @@ def save_encoder(config: ViewConfig, dataset: MultiViewDataset, folder: Path) ->
     from nerf_rl.viewer.pages.saving import save
 
     encoded = EncodedDataset(config.path, folder, dataset, resolve_device(config.device))
-    limits, far = depth_limits(read_frame(dataset, 0)), encoded.field.bounds.far
+    limits, far = encoded.depth_limits(read_frame(dataset, 0)), encoded.field.bounds.far
 
     def draw(frame: Frame, view: int):  # type: ignore[no-untyped-def]
         rendered = render_views(encoded.folded(encoded.latent(frame)), frame, [view])
@@ -74,6 +74,6 @@ def save_encoder(config: ViewConfig, dataset: MultiViewDataset, folder: Path) ->
         config.files,
         f"{encoded.encoder.scene}: encoder",
         dataset_slides(dataset, chosen_frames(dataset, config.frames), draw),
-        (dataset.class_names, dataset.palette),
-        lambda: [statistics_chart(sample_statistics(dataset), dataset.palette)],
+        None if LABELS in dataset.absent else (dataset.class_names, dataset.palette),
+        lambda: statistics_charts(sample_statistics(dataset), dataset.palette),
     )

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import viser
 from torch import Tensor
 
-from nerf_rl.datasets.storage.frames import Frame
+from nerf_rl.datasets.storage.frames import Frame, read_frame
 from nerf_rl.viewer.field.field_panel import FieldPanel
 from nerf_rl.viewer.field.latents import EncodedDataset, Probe, interpolate
 from nerf_rl.viewer.field.reconstruction import comparison, render_views
@@ -29,9 +29,10 @@ class EncoderPanel:
         self._ends: dict[str, tuple[int, Tensor]] = {}
         self._probe: Probe | None = None
         self._images: dict[int, viser.GuiImageHandle] = {}
+        self._depth_range = encoded.depth_limits(read_frame(page.dataset, 0))
         gui = page.server.gui
         with gui.add_folder("Radiance field"):
-            self.field = FieldPanel(page.server, page.dataset.palette, page.scene.depth_range)
+            self.field = FieldPanel(page.server, page.dataset.palette, self._depth_range)
         with gui.add_folder("Between two frames"):
             ends = gui.add_button_group("This frame is", ("start", "end"))
             self.share = gui.add_slider("From start to end", 0.0, 1.0, 0.02, 0.0)
@@ -57,7 +58,7 @@ class EncoderPanel:
             rendered = render_views(folded, frame, [view], stale)
             if rendered is None:
                 return
-            limits, far = self._page.scene.depth_range, self._encoded.field.bounds.far
+            limits, far = self._depth_range, self._encoded.field.bounds.far
             picture = comparison(frame, view, rendered[0], self._page.dataset.palette, limits, far)
             if view in self._images:
                 self._images[view].image = picture

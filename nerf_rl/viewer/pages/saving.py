@@ -37,7 +37,7 @@ def save(
         files: where to, by ``save`` (page), ``png`` (contact sheet) and ``mp4`` (video).
         title: of the page.
         slides: what to show; each is drawn at most once, and those that no file needs are not.
-        legend: names and colours of the classes.
+        legend: names and colours of the classes; None without labels.
         charts: for the page.
         scene: makes a 3-D recording for the page, a document of its own.
     """
@@ -106,7 +106,8 @@ def _write_page(
     if scene is not None:
         page.heading("In three dimensions")
         page.frame(scene(), 620)
-    page.heading("Charts")
+    if charts:
+        page.heading("Charts")
     for chart in charts:
         page.image(chart, "")
     write_text(path, page.render())

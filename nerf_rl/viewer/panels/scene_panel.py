@@ -5,12 +5,17 @@ from collections.abc import Callable
 import numpy as np
 import viser
 import viser.transforms as vtf
+from jaxtyping import Float
+from numpy import ndarray
 
 from nerf_rl.cameras.geometry import camera_position
 from nerf_rl.datasets.storage.frames import Frame
 from nerf_rl.datasets.storage.point_cloud import COLOURINGS, PointCloud, fuse_views
 from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.stored_manifest import DEPTH, LABELS
+from nerf_rl.errors import UserError
 from nerf_rl.pictures.images import is_surface
+from nerf_rl.pretrain.data.looked_at import distances_to_what_is_looked_at
 from nerf_rl.viewer.drawing.pictures import depth_limits
 from nerf_rl.viewer.node_names import node_name
 
@@ -38,7 +43,9 @@ class ScenePanel:
         self._labels: dict[str, viser.LabelHandle] = {}
         self._cloud: viser.PointCloudHandle | None = None
         gui = server.gui
-        self.colouring = gui.add_dropdown("Point cloud", ("hidden", *COLOURINGS), initial_value="RGB")
+        colourings = _colourings(dataset.absent)
+        first_colouring = "RGB" if colourings else "hidden"
+        self.colouring = gui.add_dropdown("Point cloud", ("hidden", *colourings), initial_value=first_colouring)
         self.reach = gui.add_slider("Reach [m]", 0.2, 5.0, 0.1, 2.5, hint="points farther from their camera are hidden")
         self.size = gui.add_slider("Point size [mm]", 1, 20, 0.5, 1000 * _POINT_SIZE)
         shown = gui.add_checkbox("Cameras", True)
@@ -126,6 +133,12 @@ class ScenePanel:
             self._cloud.point_size = self.size.value / 1000
 
 
+def _colourings(absent: tuple[str, ...]) -> list[str]:
+    """Return what the points of a dataset may be coloured by; without depth there are none."""
+    known = [name for name in COLOURINGS if name != "semantic" or LABELS not in absent]
+    return [] if DEPTH in absent else known
+
+
 def field_of_view(intrinsics: np.ndarray, height: int) -> float:
     """Return the vertical field of view [rad] of K [pixels]."""
     return float(2.0 * np.arctan(height / (2.0 * intrinsics[1, 1])))
@@ -152,12 +165,25 @@ def look_from(server: viser.ViserServer, frame: Frame) -> None:
     """Begin between the first camera and the others, farther off, with a view of what most of them look at."""
     centres = camera_position(frame.camera_from_world)
     forward = frame.camera_from_world[:, 2, :3]
-    depth = np.where(is_surface(frame.depth, frame.far), frame.depth, np.nan)
-    seen = ~np.isnan(depth).all(axis=(1, 2))  # the others look at nothing
+    distance = _distance_to_what_is_seen(frame)
+    seen = ~np.isnan(distance)  # the others look at nothing
     if not seen.any():
         return
-    targets = centres[seen] + forward[seen] * np.nanmedian(depth[seen], axis=(1, 2))[:, None]
-    target = np.mean(targets, axis=0)
+    target = np.mean(centres[seen] + forward[seen] * distance[seen, None], axis=0)
     away = 0.7 * centres[0] + 0.3 * np.mean(centres, axis=0) - target
     server.initial_camera.position = target + 1.6 * away + np.array([0.0, 0.0, 0.3])
     server.initial_camera.look_at = target
+
+
+def _distance_to_what_is_seen(frame: Frame) -> Float[ndarray, "V"]:
+    """Return the planar depth [m] of what most of each picture shows, not a number where that is unknown."""
+    if DEPTH in frame.absent:
+        try:
+            return distances_to_what_is_looked_at(frame.camera_from_world[None])[0]
+        except UserError:  # they look in one direction, or away from each other
+            return np.full(len(frame.camera_from_world), np.nan)
+    depth = np.where(is_surface(frame.depth, frame.far), frame.depth, np.nan).reshape(len(frame.depth), -1)
+    distance = np.full(len(depth), np.nan)
+    seen = ~np.isnan(depth).all(axis=1)
+    distance[seen] = np.nanmedian(depth[seen], axis=1)
+    return distance

@@ -8,10 +8,10 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from captures import HEIGHT, WIDTH, write_capture
 
 from nerf_rl import cli
 from nerf_rl.cameras.geometry import look_from, pixel_centres, pixel_directions, project, projection_matrix
-from nerf_rl.datasets.export.nerfstudio import world_from_opengl_camera
 from nerf_rl.datasets.importing import importer
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS, UNFINISHED
@@ -20,7 +20,6 @@ PRETRAIN = Path(__file__).parents[3] / "pretrain"
 TINY = ["--steps", "4", "--steps_per_epoch", "2", "--epochs_per_validation", "2", "--validation_frames", "1"]
 TINY += ["--scenes_per_step", "2", "--rays_per_scene", "8", "--threads", "1", "--probe_frames", "9"]
 TINY += ["--sampling.rendering_stratified", "6", "--sampling.rendering_importance", "4"]
-HEIGHT, WIDTH, NAMES = 20, 28, ("a", "b", "c")
 
 
 @pytest.fixture(scope="module")
@@ -49,24 +48,6 @@ def read(source: Path, out: Path, *keys: str) -> MultiViewDataset:
 def order_of(original: MultiViewDataset, imported: MultiViewDataset) -> list[int]:
     """Return the positions of the imported cameras among the original ones."""
     return [original.camera_names.index(name) for name in imported.camera_names]
-
-
-def write_capture(folder: Path, moments: int = 4, seed: int = 0, **shared: Any) -> None:
-    """Write scenes as programs of others do: JPEG pictures, shared intrinsics, no depth, labels or words of ours."""
-    rng = np.random.default_rng(seed)
-    eyes = np.array([[1.0, 0.0, 0.6], [0.0, 1.2, 0.5], [-0.9, 0.3, 0.8]])
-    for moment in range(moments):
-        scene = folder / f"moment_{moment}"
-        (scene / "images").mkdir(parents=True)
-        frames = []
-        for name, eye in zip(NAMES, eyes, strict=True):
-            picture = cv2.resize(rng.integers(0, 255, (4, 6, 3), np.uint8), (WIDTH, HEIGHT))
-            cv2.imwrite(str(scene / "images" / f"{name}.jpg"), picture)
-            pose = world_from_opengl_camera(look_from(eye, np.zeros(3)))
-            frames.append({"file_path": f"./images/{name}.jpg", "transform_matrix": pose.tolist()})
-        camera = {"fl_x": 24.0, "fl_y": 25.0, "cx": 14.5, "cy": 9.5, "w": WIDTH, "h": float(HEIGHT)}
-        content = {"camera_model": "OPENCV", **camera, **shared, "frames": frames}
-        (scene / "transforms.json").write_text(json.dumps(content))
 
 
 def test_an_export_comes_back_as_it_was(original: MultiViewDataset, imported: MultiViewDataset):
@@ -148,36 +129,6 @@ def test_a_trained_encoder_needs_no_more_than_the_shipped_recipe(
     assert "images that were imported, and no simulator can show it" in capsys.readouterr().err
     assert cli.main(["train-rl", *agent[:2], "--scene", imported.manifest["scene"]["name"], *agent[2:]]) == 2
     assert capsys.readouterr().err.count("\n") == 1
-
-
-def test_pictures_alone_are_enough_for_a_field_of_colours(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    write_capture(tmp_path / "capture")
-    dataset = read(tmp_path / "capture", tmp_path / "data")
-    assert dataset.absent == ("depth", "labels", "state") and dataset.views("encoder") == [0, 1, 2]
-    assert "warning" not in capsys.readouterr().err  # of cameras that see nothing, of which labels tell
-    assert (dataset.manifest["height"], dataset.manifest["width"]) == (HEIGHT, WIDTH)
-    assert dataset.read("split").sum() == 1 and len(set(dataset.read("episode").tolist())) == 4
-    command = ["pretrain", "--config", str(PRETRAIN / "demo.yaml"), "--data", str(dataset.folder)]
-    assert cli.main([*command, *TINY, "--out", str(tmp_path / "run")]) == 2
-    said = capsys.readouterr().err
-    assert "needs training and validation frames" in said  # one held-out moment is too few to measure on
-    dataset = read(tmp_path / "capture", tmp_path / "data", "--validation_fraction", "0.5", "--overwrite", "true")
-    assert cli.main([*command, *TINY, "--out", str(tmp_path / "run")]) == 2
-    said = capsys.readouterr().err
-    assert "has no depth and no labels, which --losses.depth, --losses.anchor" in said
-    assert "field-rgb.yaml" in said and said.count("\n") == 1 and not (tmp_path / "run").exists()
-    anchors = [*command, "--config", str(PRETRAIN / "objectives" / "anchors.yaml"), *TINY]
-    assert cli.main([*anchors, "--out", str(tmp_path / "run")]) == 2
-    assert "has no depth and no labels, which --objective anchors learns from" in capsys.readouterr().err
-    rgb = [*command, "--config", str(PRETRAIN / "objectives" / "field-rgb.yaml"), *TINY, "--log_every", "1"]
-    assert cli.main([*rgb, "--out", str(tmp_path / "run")]) == 0
-    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
-    figures = summary["validation"]
-    assert figures["psnr_db"] > 5 and figures["miou"] is figures["depth_mae_m"] is None and summary["class_iou"] == {}
-    logged = (tmp_path / "run" / "logs" / "metrics.csv").read_text().splitlines()[0]
-    assert "train/rgb" in logged and "train/semantic" not in logged and "train/depth" not in logged
-    assert cli.main(["view", str(tmp_path / "run"), "--png", str(tmp_path / "a.png"), "--frames", "1"]) == 0
-    assert cli.main(["view", str(dataset.folder), "--save", str(tmp_path / "a.html"), "--frames", "1"]) == 0
 
 
 def test_what_others_wrote_means_what_nerfstudio_means(tmp_path: Path):

@@ -1,6 +1,7 @@
 """LeRobotDatasets as datasets: what was exported comes back; without camera poses there is none."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -85,6 +86,28 @@ def test_it_goes_back_out_with_the_rate_said(imported: MultiViewDataset, tmp_pat
     command = ["export", str(imported.folder), "--format", "lerobot", "--out", str(tmp_path / "out")]
     assert cli.main(command) == 2  # nothing simulates it, so nothing knows its rate
     assert cli.main([*command, "--fps", "80"]) == 0
+
+
+def test_depth_and_labels_that_it_lacks_stay_away(imported: MultiViewDataset, export: Path, tmp_path: Path):
+    words = ["--format", "lerobot", "--fps", "80", "--depth", "false"]
+    assert cli.main(["export", str(imported.folder), *words, "--out", str(tmp_path / "colours")]) == 0
+    shutil.rmtree(tmp_path / "colours" / "labels")
+    assert cli.main(["import", str(tmp_path / "colours"), "--out", str(tmp_path / "data")]) == 0
+    dataset = MultiViewDataset(tmp_path / "data")
+    assert dataset.absent == ("depth", "labels")
+    assert cli.main(["export", str(dataset.folder), *words[:4], "--out", str(tmp_path / "again")]) == 0
+    features = json.loads((tmp_path / "again" / "meta" / "info.json").read_text())["features"]
+    assert not any(key.endswith("_depth") for key in features) and not (tmp_path / "again" / "labels").exists()
+    cameras = json.loads((tmp_path / "again" / "meta" / "cameras.json").read_text())
+    assert not {"classes", "labels_path"} & set(cameras) and cameras["cameras"][0]["depth_key"] is None
+    assert cli.main(["import", str(tmp_path / "again"), "--out", str(tmp_path / "back")]) == 0
+    back = MultiViewDataset(tmp_path / "back")
+    kept = np.flatnonzero(dataset.read("step") < STEPS - 2)  # each export leaves out the last state of an episode
+    assert back.absent == dataset.absent
+    np.testing.assert_array_equal(back.read("state/privileged"), dataset.read("state/privileged", kept))
+    assert cli.main(["view", str(dataset.folder), "--save", str(tmp_path / "a.html"), "--frames", "1"]) == 0
+    page = re.sub(r'srcdoc="[^"]*"', "", (tmp_path / "a.html").read_text())  # without the 3-D recording
+    assert "Charts" in page and "background<" not in page  # charts of the state, which is known
 
 
 def edit(file: str, change: Callable[[dict], Any]) -> Callable[[Path], None]:

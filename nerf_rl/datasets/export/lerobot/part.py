@@ -85,13 +85,15 @@ class Part:
         plan = self._plan
         counts: dict[str, Any] = defaultdict(int)
         for block in blocks(episode.states[:-1], plan.dataset):
-            rgb, labels = plan.dataset.read("rgb", block), plan.dataset.read_labels(block)
+            rgb = plan.dataset.read("rgb", block)
+            labels = plan.dataset.read_labels(block) if plan.has_labels else None
             depth = plan.dataset.read("depth", block) if plan.cameras[0].codes is not None else None
             work: dict[str, Callable[[], Counts | None]] = {}
             for camera in plan.cameras:
                 view = camera.view
                 work[camera.image_key] = partial(_write_colours, self._videos[camera.image_key], rgb[:, view])
-                work[_labels(camera)] = partial(_write_labels, self._videos[_labels(camera)], labels[:, view])
+                if labels is not None:
+                    work[_labels(camera)] = partial(_write_labels, self._videos[_labels(camera)], labels[:, view])
                 if depth is not None:
                     video = self._videos[camera.depth_key]
                     work[camera.depth_key] = partial(_write_depth, video, depth[:, view], camera, plan.hit)
@@ -125,7 +127,8 @@ def open_part(folder: Path, plan: Plan, number: int) -> Iterator[Part]:
 
         for camera in plan.cameras:
             add(camera.image_key, VIDEO, camera.image_key, colours(height, width))
-            add(_labels(camera), LABELS, camera.image_key, LABEL_CODEC)
+            if plan.has_labels:
+                add(_labels(camera), LABELS, camera.image_key, LABEL_CODEC)
             if camera.codes is not None:
                 add(camera.depth_key, VIDEO, camera.depth_key, DEPTH)
         append = stack.enter_context(open_frames(file_path(folder, DATA, number)))

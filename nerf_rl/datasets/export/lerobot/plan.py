@@ -15,6 +15,7 @@ from nerf_rl.datasets.export.lerobot.rate import steps_per_second
 from nerf_rl.datasets.export.lerobot.videos import SMALLEST_DEPTH
 from nerf_rl.datasets.export.seen import farthest_hit
 from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.stored_manifest import DEPTH, LABELS
 from nerf_rl.errors import UnknownNameError, UserError
 from nerf_rl.scenes.base import GYM, METAWORLD
 
@@ -58,6 +59,11 @@ class Plan:
     """planar depth from which on nothing was hit [m]"""
 
     @property
+    def has_labels(self) -> bool:
+        """Whether the dataset has any."""
+        return LABELS not in self.dataset.absent
+
+    @property
     def frames(self) -> int:
         """How many frames there will be."""
         return sum(episode.transitions for episode in self.episodes)
@@ -86,10 +92,11 @@ def make_plan(dataset: MultiViewDataset, config: ExportConfig) -> Plan:
         names = ", ".join(dataset.camera_names[view] for view in views)
         raise UserError(f"cameras {names} have names too alike for LeRobot's keys; choose some with --cameras")
     intrinsics, _ = dataset.cameras([0])
-    if config.depth and min(dataset.manifest["height"], dataset.manifest["width"]) < SMALLEST_DEPTH:
+    with_depth = config.depth and DEPTH not in dataset.absent
+    if with_depth and min(dataset.manifest["height"], dataset.manifest["width"]) < SMALLEST_DEPTH:
         raise UserError(f"depth as video takes {SMALLEST_DEPTH} pixels or more along each edge; use --depth false")
     hit = farthest_hit(dataset)
-    codes = _depth_codes(dataset, episodes, views, hit) if config.depth else [None] * len(views)
+    codes = _depth_codes(dataset, episodes, views, hit) if with_depth else [None] * len(views)
     poses = _fixed_poses(dataset, episodes)
     roles = [camera["role"] for camera in dataset.manifest["cameras"]]
     cameras = [

@@ -70,6 +70,7 @@ def _statistics(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 def _cameras(plan: Plan) -> dict[str, Any]:
     """Return ``meta/cameras.json``: what LeRobot's format has no place for."""
+    classes = [{"id": i, **entry} for i, entry in enumerate(plan.dataset.manifest["classes"])]
     return {
         "convention": {
             "camera_axes": "OpenCV: x right, y down, z forward",
@@ -80,8 +81,7 @@ def _cameras(plan: Plan) -> dict[str, Any]:
             "depth": "planar: z in the camera's frame [m]; depth_max is where nothing was hit",
         },
         "cameras": [_camera(plan, camera) for camera in plan.cameras],
-        "labels_path": files.LABELS,
-        "classes": [{"id": i, **entry} for i, entry in enumerate(plan.dataset.manifest["classes"])],
+        **({"labels_path": files.LABELS, "classes": classes} if plan.has_labels else {}),
         "source": {"scene": scene_name(plan.dataset), "dataset": plan.dataset.digest()},
     }
 
