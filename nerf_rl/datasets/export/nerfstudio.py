@@ -31,7 +31,8 @@ def write_scene(folder: Path, seen: Seen, dataset: MultiViewDataset, masks: bool
         folder: to make.
         seen: the frame and what of it counts.
         dataset: the frame's.
-        masks: whether to write masks of the classes that count; training ignores the other pixels.
+        masks: whether to write masks of the classes that count; training ignores the other pixels. Where the dataset
+            has pixels that do not count, there are masks in any case.
     """
     frame, depth, kept = seen.frame, seen.depth(), seen.kept()
     has_depth, has_labels = DEPTH not in frame.absent, LABELS not in frame.absent
@@ -44,7 +45,7 @@ def write_scene(folder: Path, seen: Seen, dataset: MultiViewDataset, masks: bool
             images["depth_file_path"] = ("depths", millimetres.astype(np.uint16))
         if has_labels:
             images["semantic_path"] = ("semantics", frame.semantic[view])
-        if masks:
+        if masks or frame.valid is not None:
             images["mask_path"] = ("masks", np.where(kept[view], 255, 0).astype(np.uint8))
         entry = {}
         for key, (kind, image) in images.items():

@@ -30,8 +30,9 @@ class Seen:
         return self.frame.depth < self.reach
 
     def kept(self) -> Bool[ndarray, "V H W"]:
-        """Tell which pixels show a class that counts, whether within reach or not."""
-        return np.isin(self.frame.semantic, self.classes)
+        """Tell which pixels count, and show a class that does, whether within reach or not."""
+        kept = np.isin(self.frame.semantic, self.classes)
+        return kept if self.frame.valid is None else kept & self.frame.valid
 
     def depth(self) -> Float32[ndarray, "V H W"]:
         """Return planar depth [m], 0 where nothing counts."""

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray
 
 from nerf_rl.cameras.tracking_frame import to_world
@@ -41,6 +41,8 @@ class Frame:
     """of the tracking frame, in the world [m]; zero without one"""
     absent: tuple[str, ...] = ()
     """what of ``depth``, ``labels`` and ``state`` the dataset lacks, so that it is made up here"""
+    valid: Bool[ndarray, "V H W"] | None = None
+    """which pixels count; None where all do"""
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,7 @@ def read_frame(dataset: MultiViewDataset, index: int) -> Frame:
         return dataset.read(name, [index])[0]
 
     intrinsics, poses = dataset.tracked_cameras([index])
+    valid = dataset.read_valid([index])
     return Frame(
         index,
         int(row("episode")),
@@ -75,6 +78,7 @@ def read_frame(dataset: MultiViewDataset, index: int) -> Frame:
         named_points(dataset.columns("privileged"), dataset.tracked_positions([index])[0]),
         dataset.tracking_origins([index])[0],
         dataset.absent,
+        None if valid is None else valid[0],
     )
 
 

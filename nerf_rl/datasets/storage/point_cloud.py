@@ -43,7 +43,7 @@ def fuse_views(
     reach: float,
     most: int = 60_000,
 ) -> PointCloud:
-    """Return the points that all views of a frame show.
+    """Return the points that all views of a frame show, of pixels that count.
 
     Args:
         frame: what the cameras saw.
@@ -60,6 +60,7 @@ def fuse_views(
         "depth": lambda: colour_depth(frame.depth, *depth_range),
     }[colouring]()
     kept = (frame.depth < reach) & np.isin(frame.semantic, list(classes))
+    kept = kept if frame.valid is None else kept & frame.valid
     views = range(len(frame.depth))
     points = np.stack([unproject(frame.depth[v], frame.intrinsics[v], frame.camera_from_world[v]) for v in views])
     chosen = np.flatnonzero(kept.ravel())

@@ -13,6 +13,8 @@ from captures import HEIGHT, WIDTH, write_capture
 from nerf_rl import cli
 from nerf_rl.cameras.geometry import look_from, pixel_centres, pixel_directions, project, projection_matrix
 from nerf_rl.datasets.importing import importer
+from nerf_rl.datasets.storage.frames import read_frame
+from nerf_rl.datasets.storage.point_cloud import fuse_views
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS, UNFINISHED
 
@@ -88,6 +90,13 @@ def test_masks_say_what_counts(original: MultiViewDataset, tmp_path: Path):
     robot = original.read("semantic")[:, order_of(original, imported)] == original.class_names.index("robot")
     assert robot.any()
     np.testing.assert_array_equal(imported.read_valid(np.arange(len(imported))), ~robot)
+    frame = read_frame(imported, 0)
+    reach, everything = 0.999 * frame.far, range(len(imported.class_names))
+    cloud = fuse_views(frame, "RGB", imported.palette, (0.0, 1.0), everything, reach)
+    assert len(cloud.points) == ((frame.depth < reach) & ~robot[0]).sum()
+    assert cli.main(["export", str(imported.folder), "--out", str(tmp_path / "again")]) == 0
+    back = read(tmp_path / "again", tmp_path / "back", "--empty_depth", "nothing")
+    np.testing.assert_array_equal(back.read_valid(np.arange(len(back))), ~robot)
 
 
 def test_rays_are_drawn_from_pixels_that_count(original: MultiViewDataset, tmp_path: Path):
