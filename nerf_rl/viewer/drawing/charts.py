@@ -22,7 +22,7 @@ def statistics_charts(statistics: Statistics, palette: UInt8[ndarray, "C 3"]) ->
 def columns_chart(columns: EpisodeColumns, now: float | None = None) -> UInt8[ndarray, "A B 3"]:
     """Return the columns along an episode, of which there is one at least; ``now`` marks a step."""
     acted = [name for name in columns.columns if name.startswith("action") or name == "reward"]
-    state = [name for name in columns.columns if name not in acted]  # imported pictures have none
+    state = [name for name in columns.columns if name not in acted]  # imported episodes may have none
     groups = [names for names in (state, acted) if names]
     figure = _figure(7.0, 3.2)
     for axes, names in zip(np.atleast_1d(figure.subplots(1, len(groups))), groups, strict=True):

@@ -31,15 +31,16 @@ def sample_statistics(dataset: MultiViewDataset, episodes: int = 200) -> Statist
     count = min(episodes, timeline.last - timeline.first + 1)
     chosen = np.unique(np.linspace(timeline.first, timeline.last, count).astype(int))
     resets: dict[str, list[tuple[float, float]]] = {}
-    pixels = np.zeros(len(dataset.class_names), np.int64)
+    names = () if LABELS in dataset.absent else dataset.class_names
+    pixels = np.zeros(len(names), np.int64)
     for episode in chosen.tolist():
         frame = timeline.frames(episode).start
         values = dataset.read("state/privileged", [frame])[0]
         for name, (x, y, _) in named_points(dataset.columns("privileged"), values).items():
             resets.setdefault(name, []).append((x, y))
-        pixels += np.bincount(dataset.read_labels([frame]).ravel(), minlength=len(pixels))[: len(pixels)]
-    names = () if LABELS in dataset.absent else dataset.class_names
-    shares = (pixels / max(1, pixels.sum()))[: len(names)].tolist()
+        if names:
+            pixels += np.bincount(dataset.read_labels([frame]).ravel(), minlength=len(pixels))[: len(pixels)]
+    shares = (pixels / max(1, pixels.sum())).tolist()
     return Statistics(
         {name: np.array(places) for name, places in resets.items()},
         dict(zip(names, shares, strict=True)),

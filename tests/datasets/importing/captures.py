@@ -1,4 +1,4 @@
-"""Scenes as programs of others write them, to be imported."""
+"""Scenes as programs of others write them, their import, and a few steps of training on it."""
 
 import json
 from pathlib import Path
@@ -7,10 +7,21 @@ from typing import Any
 import cv2
 import numpy as np
 
+from nerf_rl import cli
 from nerf_rl.cameras.geometry import look_from
 from nerf_rl.datasets.export.nerfstudio import world_from_opengl_camera
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 
 HEIGHT, WIDTH, NAMES = 20, 28, ("a", "b", "c")
+TINY = ["--steps", "4", "--steps_per_epoch", "2", "--epochs_per_validation", "2", "--validation_frames", "1"]
+TINY += ["--scenes_per_step", "2", "--rays_per_scene", "8", "--threads", "1", "--probe_frames", "9"]
+TINY += ["--sampling.rendering_stratified", "6", "--sampling.rendering_importance", "4"]
+
+
+def read(source: Path, out: Path, *keys: str) -> MultiViewDataset:
+    """Import, and return the dataset."""
+    assert cli.main(["import", str(source), "--out", str(out), *keys]) == 0
+    return MultiViewDataset(out)
 
 
 def write_capture(folder: Path, moments: int = 4, seed: int = 0, **shared: Any) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from captures import HEIGHT, WIDTH, write_capture
+from captures import HEIGHT, TINY, WIDTH, read, write_capture
 
 from nerf_rl import cli
 from nerf_rl.cameras.geometry import look_from, pixel_centres, pixel_directions, project, projection_matrix
@@ -19,9 +19,6 @@ from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS, UNFINISHED
 
 PRETRAIN = Path(__file__).parents[3] / "pretrain"
-TINY = ["--steps", "4", "--steps_per_epoch", "2", "--epochs_per_validation", "2", "--validation_frames", "1"]
-TINY += ["--scenes_per_step", "2", "--rays_per_scene", "8", "--threads", "1", "--probe_frames", "9"]
-TINY += ["--sampling.rendering_stratified", "6", "--sampling.rendering_importance", "4"]
 
 
 @pytest.fixture(scope="module")
@@ -39,12 +36,6 @@ def scenes(tiny_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 @pytest.fixture(scope="module")
 def imported(scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> MultiViewDataset:
     return read(scenes, tmp_path_factory.mktemp("imported") / "out", "--empty_depth", "nothing")
-
-
-def read(source: Path, out: Path, *keys: str) -> MultiViewDataset:
-    """Import, and return the dataset."""
-    assert cli.main(["import", str(source), "--out", str(out), *keys]) == 0
-    return MultiViewDataset(out)
 
 
 def order_of(original: MultiViewDataset, imported: MultiViewDataset) -> list[int]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from captures import HEIGHT, NAMES, WIDTH, write_capture
+from captures import HEIGHT, NAMES, TINY, WIDTH, read, write_capture
 
 from nerf_rl import cli
 from nerf_rl.datasets.storage.frames import read_columns, read_frame
@@ -19,15 +19,6 @@ from nerf_rl.viewer.pages.dataset_view import DatasetView
 from nerf_rl.viewer.server import serve
 
 PRETRAIN = Path(__file__).parents[3] / "pretrain"
-TINY = ["--steps", "4", "--steps_per_epoch", "2", "--epochs_per_validation", "2", "--validation_frames", "1"]
-TINY += ["--scenes_per_step", "2", "--rays_per_scene", "8", "--threads", "1", "--probe_frames", "9"]
-TINY += ["--sampling.rendering_stratified", "6", "--sampling.rendering_importance", "4"]
-
-
-def read(source: Path, out: Path, *keys: str) -> MultiViewDataset:
-    """Import, and return the dataset."""
-    assert cli.main(["import", str(source), "--out", str(out), *keys]) == 0
-    return MultiViewDataset(out)
 
 
 @pytest.fixture(scope="module")
