@@ -16,6 +16,7 @@ from nerf_rl.cameras.tracking_frame import TrackingFrame
 from nerf_rl.scenes.base import Scene, model_digest
 from nerf_rl.scenes.body_parts import can_travel, find_parts
 from nerf_rl.scenes.state_columns import StateColumns
+from nerf_rl.scenes.unit_actions import in_range
 from nerf_rl.scenes.workspace import Workspace, around_what_stays, fit_workspace, moving_balls, moving_geoms
 
 _EPISODES, _STEPS, _HOLD = 4, 40, 10  # from which the workspace is fitted
@@ -93,17 +94,15 @@ class StructuredScene(Scene):
         The scene is then as after its first reset.
         """
         rng, space = np.random.default_rng(0), self.env.action_space
-        low = high = np.zeros(0)
-        if isinstance(space, gymnasium.spaces.Box):
-            low, high = np.clip(space.low, -1.0, 1.0), np.clip(space.high, -1.0, 1.0)
         mujoco.set_mju_user_warning(lambda message: None)  # it would write MUJOCO_LOG.TXT; who acts in earnest tells
-        steps = _STEPS if isinstance(space, gymnasium.spaces.Box) else 0
         for episode in range(_EPISODES):
             self.env.reset(seed=episode)
             yield True, self.render_data()
-            for step in range(steps):
+            for step in range(_STEPS):
+                if not isinstance(space, gymnasium.spaces.Box):
+                    break
                 if step % _HOLD == 0:
-                    action = rng.uniform(low, high).astype(np.float32)
+                    action = in_range(rng.uniform(-1.0, 1.0, space.shape).astype(np.float32), space)
                 _, _, terminated, truncated, _ = self.env.step(action)
                 shown = self.render_data()
                 if terminated or truncated or not np.isfinite(shown.geom_xpos).all():

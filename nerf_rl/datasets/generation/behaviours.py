@@ -15,11 +15,11 @@ from nerf_rl.datasets.generation.stored_states import StoredStates, open_states,
 from nerf_rl.errors import UserError
 from nerf_rl.scenes.base import Policy, Scene, success_in
 from nerf_rl.scenes.scattering import Scattering
+from nerf_rl.scenes.unit_actions import in_range
 
 _SHORTEST_HOLD = 3  # steps for which a random action is held, so that it leads somewhere
 _LONGEST_DETOUR = 14  # steps; what comes after it in a noisy episode must still have time to succeed
 _DETOUR_PROBABILITY = 0.03  # a step, in noisy episodes
-_UNLIMITED = 1.0  # of actions without limits
 _DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 KINDS = ("random", "scripted", "noisy", "replay")
 
@@ -31,6 +31,7 @@ class EpisodeStep(NamedTuple):
     """environment steps since the last reset"""
     observation: Any
     action: Float[ndarray, "A"]
+    """in [-1, 1]"""
     reward: float
     success: bool
     stored: Mapping[str, ndarray] = {}
@@ -74,7 +75,7 @@ class Behaviour:
         """Reset the scene and act; yield one step more than there are steps, the first right after the reset.
 
         While a step is held, the scene is in its state, so it can be rendered. An environment that ends an episode
-        early is reset and acted on, and steps count from there.
+        early is reset and acted on, and steps count from there; the state that it ended in comes before the reset's.
 
         Args:
             episode: its number, which decides what is replayed.
@@ -88,32 +89,32 @@ class Behaviour:
     def _step(self, policy: Policy | None, noisy: bool, rng: np.random.Generator) -> Iterator[EpisodeStep]:
         env, space = self._scene.env, self._scene.env.action_space
         assert isinstance(space, gymnasium.spaces.Box)
-        low, high = np.clip(space.low, -_UNLIMITED, _UNLIMITED), np.clip(space.high, -_UNLIMITED, _UNLIMITED)
         observation = self._reset(rng)
-        reward, success, since_reset = 0.0, False, 0
+        reward, success, over, since_reset = 0.0, False, False, 0
         held, held_until = np.zeros(space.shape), 0
         longest = self._config.longest_hold if policy is None else _LONGEST_DETOUR
         for step in range(self._steps + 1):
             if step >= held_until and (policy is None or (noisy and rng.random() < _DETOUR_PROBABILITY)):
-                held = rng.uniform(low, high)
+                held = rng.uniform(-1.0, 1.0, space.shape)
                 held_until = step + int(rng.integers(_SHORTEST_HOLD, longest + 1))
             if policy is None or step < held_until:
                 action = held
             else:
                 noise = self._config.noise * rng.standard_normal(space.shape) if noisy else 0.0
-                action = np.clip(policy(observation) + noise, low, high)
+                action = np.clip(policy(observation) + noise, -1.0, 1.0)
             action = action.astype(np.float32)
             yield EpisodeStep(since_reset, observation, action, reward, success)
             if step == self._steps:
                 return
-            observation, step_reward, terminated, truncated, info = env.step(action)
+            if over:  # the state that an episode ended in has been seen, and no action is taken in it
+                observation = self._reset(rng)
+                reward, success, over, since_reset = 0.0, False, False, 0
+                policy, held_until = self._scene.scripted_policy() if policy is not None else None, 0
+                continue
+            observation, step_reward, terminated, truncated, info = env.step(in_range(action, space))
             self._require_stable(step + 1)
             reward, since_reset = float(step_reward), since_reset + 1
-            success = success or bool(success_in(info))
-            if terminated or truncated:
-                observation = self._reset(rng)
-                reward, success, since_reset = 0.0, False, 0
-                policy, held_until = self._scene.scripted_policy() if policy is not None else None, 0
+            success, over = success or bool(success_in(info)), terminated or truncated
 
     def _reset(self, rng: np.random.Generator) -> Any:
         """Begin an episode; return the first observation."""

@@ -147,14 +147,27 @@ def test_an_episode_is_decided_by_its_random_stream():
     assert act(mixture, seed=3)[0].observation[0] != act(mixture, seed=4)[0].observation[0]
 
 
-def test_an_episode_that_ends_early_is_followed_by_another_whose_steps_count_anew():
-    scene = ToyScene(ends_after=7)
-    moments = list(Behaviour(scene, SCRIPTED, 10).act(0, np.random.default_rng(0)))
-    assert [moment.step for moment in moments] == [*range(7), 0, 1, 2, 3]
+@pytest.mark.parametrize("behaviour", [RANDOM, SCRIPTED, NOISY])
+def test_an_episode_that_ends_early_shows_its_end_and_is_followed_by_another(behaviour: BehaviourConfig):
+    scene = ToyScene(ends_after=5)
+    moments = list(Behaviour(scene, behaviour, 10).act(0, np.random.default_rng(0)))
+    assert [moment.step for moment in moments] == [*range(6), *range(5)]
     assert [moment.observation[1] for moment in moments] == [moment.step for moment in moments]
     assert [moment.reward for moment in moments] == [moment.step for moment in moments]
-    assert [moment.success for moment in moments] == [moment.step >= 5 for moment in moments]
-    assert moments[6].observation[0] != moments[7].observation[0]  # with a seed of its own
+    assert [moment.success for moment in moments] == [moment.step == 5 for moment in moments]
+    assert moments[5].observation[0] != moments[6].observation[0]  # with a seed of its own
+
+
+@pytest.mark.parametrize("low, high", [(-1.0, 1.0), (-100.0, 50.0), (2.0, 5.0)])
+def test_actions_are_stored_between_minus_one_and_one_and_cover_what_the_environment_takes(low: float, high: float):
+    scene = ToyScene()
+    scene.env.action_space = gymnasium.spaces.Box(low, high, (3,))
+    assert isinstance(scene.env, ToyEnv)
+    stored = np.stack([moment.action for moment in Behaviour(scene, RANDOM, 600).act(0, np.random.default_rng(0))])
+    taken = np.stack(scene.env.actions)
+    assert -1.0 <= stored.min() < -0.95 and 0.95 < stored.max() <= 1.0
+    np.testing.assert_allclose(taken, low + (stored[:-1] + 1.0) / 2.0 * (high - low), rtol=1e-5, atol=1e-5)
+    assert all(scene.env.action_space.contains(action) for action in taken)
 
 
 def test_a_scripted_behaviour_needs_a_scripted_policy():
