@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from nerf_rl import __version__
-from nerf_rl.errors import OutputExistsError
+from nerf_rl.errors import OutputExistsError, UserError
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.folder_lock import hold_folder
 from nerf_rl.files.json_files import read_json, write_json
@@ -43,6 +43,18 @@ def check_output(
         raise OutputExistsError(folder, f"use {resuming}--overwrite true or another --out")
     if not ours:
         raise OutputExistsError(folder, f"it holds no {PROVENANCE}, so it is not overwritten; use another --out")
+
+
+def require_outside(folder: Path, *sources: str | Path) -> None:
+    """Check that nothing which a command reads lies in its output folder, where overwriting would delete it.
+
+    Raises:
+        UserError: something does.
+    """
+    for source in sources:
+        path = Path(source)
+        if path.exists() and path.resolve().is_relative_to(folder.resolve()):
+            raise UserError(f"{source} lies in the output folder {folder}; use another --out")
 
 
 def prepare_output(

@@ -6,7 +6,7 @@ from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.stored_manifest import STATE
 from nerf_rl.errors import UserError
 from nerf_rl.files.json_files import write_json
-from nerf_rl.files.outputs import SUMMARY, prepare_output, write_provenance
+from nerf_rl.files.outputs import SUMMARY, prepare_output, require_outside, write_provenance
 from nerf_rl.machine.devices import check_device, resolve_device
 from nerf_rl.machine.threads import wait_passively
 from nerf_rl.pretrain.config import ProbeConfig
@@ -28,6 +28,7 @@ def probe(config: ProbeConfig) -> None:
     wait_passively()
     check_device(config.device)
     if config.out is not None:
+        require_outside(Path(config.out), config.data, config.encoder)
         prepare_output(Path(config.out), config.overwrite)
         write_provenance(Path(config.out), "probe", config)
 

@@ -9,7 +9,7 @@ from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.shards import SPLIT_NAMES
 from nerf_rl.errors import UserError
 from nerf_rl.files.json_files import write_json
-from nerf_rl.files.outputs import SUMMARY, prepare_output, write_provenance
+from nerf_rl.files.outputs import SUMMARY, prepare_output, require_outside, write_provenance
 from nerf_rl.loggers import require_loggers
 from nerf_rl.machine.memory import peak_rss_mb
 from nerf_rl.machine.threads import wait_passively
@@ -48,6 +48,7 @@ def pretrain(config: PretrainConfig) -> None:
     if not rank:  # the first of several processes, or the only one
         if config.resume and resumable:
             require_same_keys(folder, config.content(), PretrainConfig)
+        require_outside(folder, config.data)
         prepare_output(folder, config.overwrite, config.resume, resumable, "pretrain")
         write_provenance(folder, "pretrain", config)
         print(f"training on {len(dataset)} frames of {config.data}; writing to {folder}", flush=True)

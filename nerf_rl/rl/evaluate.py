@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nerf_rl.files.json_files import write_json
-from nerf_rl.files.outputs import SUMMARY, prepare_output, write_provenance
+from nerf_rl.files.outputs import SUMMARY, prepare_output, require_outside, write_provenance
 from nerf_rl.machine.devices import check_device, resolve_device
 from nerf_rl.rl.agents.policy_file import check_policy, find_run
 from nerf_rl.rl.environments.encoder_match import warn_of_workers_rendering
@@ -29,6 +29,7 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
     run, out = find_run(config.run), Path(config.out)
     description = check_policy(run, config.encoder)
     check_device(config.device)
+    require_outside(out, run, *filter(None, [config.encoder]))
     prepare_output(out, config.overwrite)
     write_provenance(out, "evaluate", config)
     print(f"evaluate writes to {out}", flush=True)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from nerf_rl.arguments.stored_keys import require_same_keys
 from nerf_rl.errors import UserError
-from nerf_rl.files.outputs import prepare_output, write_provenance
+from nerf_rl.files.outputs import prepare_output, require_outside, write_provenance
 from nerf_rl.hub.address import is_address
 from nerf_rl.hub.fetch import lasting
 from nerf_rl.loggers import closed_at_end, require_loggers
@@ -45,6 +45,8 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
     encoder = None if config.encoder == NO_ENCODER else lasting(config.encoder)
     if encoder is not None:
         check_encoder_scene(encoder, config.scene)
+        if not config.resume:
+            require_outside(Path(config.out), encoder)
         if is_address(encoder):  # what it stands for may change before the run is resumed
             config = dataclasses.replace(config, encoder=encoder)
     check_device(config.device)

@@ -13,7 +13,7 @@ from optuna.storages import BaseStorage
 from nerf_rl.arguments.stored_keys import require_same_keys, with_defaults
 from nerf_rl.errors import UserError
 from nerf_rl.files.json_files import read_json
-from nerf_rl.files.outputs import PROVENANCE, check_output, plain, prepare_output, write_provenance
+from nerf_rl.files.outputs import PROVENANCE, check_output, plain, prepare_output, require_outside, write_provenance
 from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
 from nerf_rl.rl.environments.encoder_match import check_encoder_scene
 from nerf_rl.rl.sweeps.workers import training_modules
@@ -43,6 +43,8 @@ def tune(config: TuneConfig) -> dict[str, Any]:
     trials = trials_of(config, base)
     if base.encoder != NO_ENCODER:
         check_encoder_scene(base.encoder, base.scene)
+        if not config.resume:
+            require_outside(out, base.encoder)
     begun = _is_search(out)
     if begun and config.resume:
         require_same_keys(out, {**config.content(), "storage": config.storage, "study": config.study}, TuneConfig)

@@ -21,7 +21,7 @@ from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.stored_manifest import DEPTH
 from nerf_rl.errors import UnknownNameError, UserError
 from nerf_rl.files.json_files import write_json
-from nerf_rl.files.outputs import SUMMARY, check_output, prepare_output, write_provenance
+from nerf_rl.files.outputs import SUMMARY, check_output, prepare_output, require_outside, write_provenance
 from nerf_rl.progress import Progress
 
 
@@ -33,6 +33,7 @@ def export(config: ExportConfig) -> None:
             output folder is in use; an extra is missing.
     """
     dataset, out = MultiViewDataset(config.dataset), Path(config.out)
+    require_outside(out, config.dataset)
     check_output(out, config.overwrite)
     write = _lerobot(dataset, config) if config.format == "lerobot" else _frame_by_frame(dataset, config)
     prepare_output(out, config.overwrite)

@@ -12,6 +12,7 @@ from nerf_rl.datasets.storage.output_record import DatasetRecord
 from nerf_rl.datasets.storage.plan import PLAN, plan_of
 from nerf_rl.datasets.storage.shards import PARTS
 from nerf_rl.errors import OutputExistsError
+from nerf_rl.files.outputs import require_outside
 
 
 class OutputRecord(DatasetRecord):
@@ -39,8 +40,10 @@ class OutputRecord(DatasetRecord):
         """Refuse a folder in use, unless a run with the same plan is to go on, or parts of it are to be joined.
 
         Raises:
-            UserError: a folder in use, or one begun with another configuration.
+            UserError: a folder in use, one begun with another configuration, or one that holds the states to replay.
         """
+        if self._config.behaviour.states:
+            require_outside(self.dataset, self._config.behaviour.states)
         if self._is_part:
             in_use = self.dataset.exists() and (not self.dataset.is_dir() or any(self.dataset.iterdir()))
             if in_use and not (self.dataset / PARTS).is_dir():

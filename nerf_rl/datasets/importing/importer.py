@@ -14,10 +14,9 @@ from nerf_rl.datasets.storage.disk import bytes_needed, explain_full_disk, requi
 from nerf_rl.datasets.storage.finished_shards import FinishedShard, shard_attributes, shard_entry, with_shards
 from nerf_rl.datasets.storage.output_record import DatasetRecord
 from nerf_rl.datasets.storage.shards import UNFINISHED, ShardWriter, sha256_of, shard_path
-from nerf_rl.errors import UserError
 from nerf_rl.files.checksummed_json import write_checksummed
 from nerf_rl.files.json_files import write_json
-from nerf_rl.files.outputs import SUMMARY
+from nerf_rl.files.outputs import SUMMARY, require_outside
 from nerf_rl.machine.memory import peak_rss_mb
 from nerf_rl.progress import Progress
 
@@ -32,8 +31,7 @@ def import_dataset(config: ImportConfig) -> None:
         FailureError: too little disk space, or pictures that show nothing.
     """
     started = time.monotonic()
-    if Path(config.source).resolve().is_relative_to(Path(config.out).resolve()):
-        raise UserError(f"{config.source} lies in the output folder {config.out}; use another --out")
+    require_outside(Path(config.out), config.source)
     content = decide_content(open_source(config), config)
     record = DatasetRecord(Path(config.out), "import", config, content.plan, content.shard_frames())
     record.check()

@@ -14,7 +14,7 @@ from nerf_rl.errors import FailureError, MissingFileError, UserError
 from nerf_rl.files.atomic import atomic_write
 from nerf_rl.files.checksummed_json import CHECKSUM, is_whole, write_checksummed
 from nerf_rl.files.json_files import read_json, write_json
-from nerf_rl.files.outputs import SUMMARY, check_output, prepare_output, write_provenance
+from nerf_rl.files.outputs import SUMMARY, check_output, prepare_output, require_outside, write_provenance
 from nerf_rl.progress import Progress
 
 _OF_SHARDS = ("shards", "frames", "renderer")  # keys of a manifest in which parts differ
@@ -33,7 +33,8 @@ def merge(config: MergeConfig) -> None:
     manifests = {part: read_json(part / MANIFEST) for part in parts}
     description = _common_description(manifests)
     sources = _sources(manifests, description["config"])
-    if out not in folders:
+    if out.resolve() not in (folder.resolve() for folder in folders):
+        require_outside(out, *folders)
         begun = (out / PLAN).is_file()
         check_output(out, config.overwrite, config.resume, begun)
         if config.resume and begun and begun_plan([out / PLAN], description["config"]) is None:
