@@ -87,8 +87,16 @@ def _empty(folder: Path) -> None:
 
 def _cut_off_early(folder: Path, command: str) -> bool:
     """Tell whether a run of the command was begun in the folder and left no result."""
-    begun = folder / PROVENANCE
-    return begun.is_file() and not (folder / SUMMARY).exists() and read_json(begun)["command"] == command
+    return not (folder / SUMMARY).exists() and command_of(folder) == command
+
+
+def command_of(folder: Path) -> str | None:
+    """Return the sub-command that wrote a folder; None if it is none of ours, or what says so is damaged."""
+    try:
+        content = read_json(folder / PROVENANCE)
+    except (OSError, ValueError):
+        return None
+    return content.get("command") if isinstance(content, dict) else None
 
 
 def write_provenance(folder: Path, command: str, config: Any) -> None:

@@ -24,6 +24,7 @@ TEACHERS = ("depth", "normals")
 _MOST_IN_A_PLANE = 2**27
 FIELD: Final = "field"
 ANCHORS: Final = "anchors"
+SUPERVISED: Final = "supervised"
 RANDOM: Final = "random"
 Objective = Literal["field", "anchors", "autoencoder", "depth", "masked", "contrastive", "supervised", "random"]
 _HOW_NOT_WHAT = (

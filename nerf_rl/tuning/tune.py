@@ -12,8 +12,7 @@ from optuna.storages import BaseStorage
 
 from nerf_rl.arguments.stored_keys import require_same_keys, with_defaults
 from nerf_rl.errors import UserError
-from nerf_rl.files.json_files import read_json
-from nerf_rl.files.outputs import PROVENANCE, check_output, plain, prepare_output, require_outside, write_provenance
+from nerf_rl.files.outputs import check_output, command_of, plain, prepare_output, require_outside, write_provenance
 from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
 from nerf_rl.rl.environments.encoder_match import check_encoder_scene
 from nerf_rl.rl.sweeps.workers import training_modules
@@ -131,4 +130,4 @@ def _with_defaults(content: dict[str, Any]) -> dict[str, Any]:
 
 def _is_search(out: Path) -> bool:
     """Tell whether the folder holds a search, finished or not."""
-    return (out / PROVENANCE).is_file() and read_json(out / PROVENANCE)["command"] == "tune"
+    return command_of(out) == "tune"

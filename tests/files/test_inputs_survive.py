@@ -17,7 +17,8 @@ INPUTS = {
     "probe-encoder": "probe --encoder {input} --data {dataset} --out {out}",
     "train-rl": "train-rl --encoder {input} --out {out}",
     "train-rl-seeds": "train-rl --encoder {input} --seeds 0..1 --out {out}",
-    "tune": "tune --config rl/tune.yaml --overrides.scene metaworld/drawer-open-v3 --overrides.encoder {input} --out {out}",
+    "tune": "tune --config rl/tune.yaml --overrides.scene metaworld/drawer-open-v3 --overrides.encoder {input}"
+    " --out {out}",
     "evaluate": "evaluate --run {input} --out {out}",
     "evaluate-encoder": "evaluate --run {agent} --encoder {input} --out {out}",
 }

@@ -162,3 +162,10 @@ def test_a_processor_has_a_name_and_its_instructions_for_bfloat16(
     cpuinfo.write_text("CPU implementer\t: 0x41\n")  # as Arm has it
     expected = f"{platform.machine()}, {cores} cores (without bfloat16)"
     assert processor(cpuinfo) == processor(tmp_path / "none") == expected
+
+
+@pytest.mark.parametrize("content", ["", '{"command": ', "[]", '{"seed": 1}', '{"command": "tune"}'])
+def test_a_folder_whose_provenance_is_damaged_or_anothers_is_not_resumed(content: str, tmp_path: Path):
+    (tmp_path / outputs.PROVENANCE).write_text(content)
+    with pytest.raises(OutputExistsError, match="already exists and is not empty; use --overwrite true or another"):
+        outputs.prepare_output(tmp_path, overwrite=False, resume=True, command="pretrain")

@@ -15,9 +15,16 @@ def test_peak_memory_is_that_of_this_process():
 
 
 @pytest.mark.parametrize("platform, unit", [("linux", 1024), ("darwin", 1024 * 1024)])
-def test_without_proc_getrusage_counts_in_its_own_units(platform: str, unit: int, monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize("status", [None, "Name:\tpython\nVmRSS:\t100 kB\n"])
+def test_without_proc_getrusage_counts_in_its_own_units(
+    status: str | None, platform: str, unit: int, monkeypatch: pytest.MonkeyPatch
+):
+    """Nor does a sandbox's tell the peak."""
+
     def absent(path: Path) -> str:
-        raise FileNotFoundError(path)
+        if status is None:
+            raise FileNotFoundError(path)
+        return status
 
     monkeypatch.setattr(Path, "read_text", absent)
     monkeypatch.setattr(memory.sys, "platform", platform)

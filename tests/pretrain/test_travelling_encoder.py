@@ -16,8 +16,11 @@ from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.data.batches import RayBatch, RayBatches
 from nerf_rl.pretrain.data.statistics import measure
 from nerf_rl.pretrain.data.view_batches import ViewBatches
+from nerf_rl.pretrain.measures.probe_targets import joint_targets, varying
 from nerf_rl.pretrain.model.encoder import Encoder
 from nerf_rl.pretrain.model.encoder_file import DESCRIPTION
+from nerf_rl.pretrain.model.encoder_rig import EncoderRig
+from nerf_rl.pretrain.objectives.snerl_module import SnerlModule
 
 CONFIG = PretrainConfig("data", "out", scenes_per_step=6, rays_per_scene=200)
 
@@ -62,6 +65,46 @@ def test_the_field_and_what_it_is_taught_do_not_depend_on_how_far_the_robot_has_
     views = [ViewBatches(dataset, CONFIG, statistics)[0] for dataset, statistics in ((home, near), (away, far))]
     torch.testing.assert_close(*(batch.state for batch in views), atol=1e-3, rtol=1e-3)
     assert views[1].state.shape[1] == 1  # its height; how far it has come is no part of what cameras can tell
+
+
+def test_held_out_pictures_are_drawn_where_the_field_lives(pair: tuple[MultiViewDataset, MultiViewDataset]):
+    """A field whose encoder knows nothing looks the same from cameras that have come 20 m and from those at home."""
+    statistics, rig = measure(pair[0], CONFIG), EncoderRig.of_dataset(pair[0])
+    drawn = []
+    for dataset in pair:
+        torch.manual_seed(0)
+        module = SnerlModule(CONFIG, dataset, statistics, rig)
+        for parameter in module.encoder.parameters():
+            parameter.data.zero_()
+        drawn.append([module.render_frame(frame) for frame in (0, 11)])
+    for home, away in zip(*drawn, strict=True):
+        np.testing.assert_allclose(away.depth, home.depth, atol=1e-3)
+        np.testing.assert_allclose(away.rgb, home.rgb, atol=1e-3)
+    assert np.ptp(drawn[0][0].depth) > 0.1
+
+
+def test_how_far_a_robot_has_come_is_not_looked_for(pair: tuple[MultiViewDataset, MultiViewDataset]):
+    away = pair[1]
+    targets = joint_targets(away, np.arange(len(away)))
+    found = {target.name: np.ptp(target.values) for target in targets}
+    assert found["rootx"] == 0.0 and found["rootz"] > 0.05 and len(found) == 9
+    assert "rootx" not in [targets[i].name for i in varying(targets)]
+
+
+def test_where_cameras_see_nothing_of_the_state_it_cannot_be_learnt_from(
+    tmp_path: Path, tiny_pretraining_recipe: Path, capsys: pytest.CaptureFixture[str]
+):
+    """A swimmer's columns are where its torso is, in a plane, which its cameras follow."""
+    (tmp_path / "data.yaml").write_text(travelling_recipe().replace("HalfCheetah", "Swimmer"))
+    data, encoder = str(tmp_path / "data"), str(tmp_path / "encoder")
+    assert cli.main(["gen-dataset", "--config", str(tmp_path / "data.yaml"), "--out", data]) == 0
+    words = ["pretrain", "--config", str(tiny_pretraining_recipe), "--data", data, "--out"]
+    capsys.readouterr()
+    assert cli.main([*words, str(tmp_path / "none"), "--objective", "supervised"]) == 2
+    assert "(torso_x, torso_y, torso_z) varies as its encoder's cameras see it" in capsys.readouterr().err
+    assert cli.main([*words, encoder, "--objective", "random"]) == 0
+    assert cli.main(["probe", "--encoder", encoder, "--data", data, "--frames", "9", "--ceiling_steps", "2"]) == 0
+    assert "no supervised encoder: no column of the true state varies" in capsys.readouterr().out
 
 
 def test_an_encoder_says_which_body_its_cameras_follow_and_is_probed_and_shown(

@@ -24,7 +24,7 @@ class OutputRecord(DatasetRecord):
 
     def __init__(self, config: GenDatasetConfig):
         dataset, (part, parts) = Path(config.out), config.share()
-        self._is_part = bool(config.shard)
+        self._is_part, self._states = bool(config.shard), config.behaviour.states
         shards = range(part - 1, shard_count(config), parts)
         super().__init__(
             dataset,
@@ -42,8 +42,8 @@ class OutputRecord(DatasetRecord):
         Raises:
             UserError: a folder in use, one begun with another configuration, or one that holds the states to replay.
         """
-        if self._config.behaviour.states:
-            require_outside(self.dataset, self._config.behaviour.states)
+        if self._states:
+            require_outside(self.dataset, self._states)
         if self._is_part:
             in_use = self.dataset.exists() and (not self.dataset.is_dir() or any(self.dataset.iterdir()))
             if in_use and not (self.dataset / PARTS).is_dir():

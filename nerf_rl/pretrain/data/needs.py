@@ -5,9 +5,9 @@ from collections.abc import Iterator
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.stored_manifest import DEPTH, LABELS, STATE
 from nerf_rl.errors import UserError
-from nerf_rl.pretrain.config import ANCHORS, FIELD, TEACHERS, PretrainConfig
+from nerf_rl.pretrain.config import ANCHORS, FIELD, SUPERVISED, TEACHERS, PretrainConfig
 
-_NEEDED_OBJECTIVES = {"depth": (DEPTH,), "supervised": (STATE,), ANCHORS: (DEPTH, LABELS)}
+_NEEDED_OBJECTIVES = {"depth": (DEPTH,), SUPERVISED: (STATE,), ANCHORS: (DEPTH, LABELS)}
 _MEASURED = {"miou": LABELS, "depth_mae_m": DEPTH}  # by --stop_when
 _RECIPES = {
     (

@@ -13,6 +13,7 @@ from nerf_rl.errors import UserError
 
 LEAST_DEVIATION = 1e-4
 """of what varies enough to be probed [m, or of a circle's radius]"""
+_SAME = 1e-3  # of the way that a body has come: how far a slide that carries it may be off, by rounding
 
 Error = Callable[[ndarray, ndarray], ndarray]
 """From truth and reading [N, D] to the error of each frame [N]."""
@@ -38,7 +39,8 @@ def column_targets(dataset: MultiViewDataset, frames: ndarray) -> list[Target]:
 def joint_targets(dataset: MultiViewDataset, frames: ndarray) -> list[Target]:
     """Return angles of hinges, places of slides and orientations of bodies that turn freely, after the joints' names.
 
-    Where a free body is stands in the columns. A dataset of before joints were named has none.
+    Where a free body is stands in the columns. Slides that carry the body which the encoder's cameras follow say how
+    far it has come, which no camera sees, and are constant here. A dataset of before joints were named has none.
 
     Raises:
         UserError: the joints that the manifest names do not make up the state.
@@ -49,11 +51,13 @@ def joint_targets(dataset: MultiViewDataset, frames: ndarray) -> list[Target]:
     qpos, targets, place = dataset.read("state/qpos", frames), [], 0
     if sum(JOINT_NUMBERS[joint["kind"]] for joint in joints) != qpos.shape[1]:
         raise UserError(f"{dataset.folder} is damaged: its joints are not those of its state; make the dataset again")
+    travelled = dataset.tracking_origins(frames)
     for joint in joints:
         numbers = JOINT_NUMBERS[joint["kind"]]
         values, place = qpos[:, place : place + numbers], place + numbers
         if joint["kind"] == "slide":
-            targets.append(_length(joint["name"], values[:, 0]))
+            carries = any(_moves_with(values[:, 0], axis) for axis in travelled.T)
+            targets.append(_length(joint["name"], np.zeros(len(values)) if carries else values[:, 0]))
         elif joint["kind"] == "hinge":
             circle = np.concatenate([np.cos(values), np.sin(values)], axis=1)
             targets.append(Target(joint["name"], circle, "deg", angle_error))
@@ -103,6 +107,13 @@ def rotation_matrices(quaternions: Float[ndarray, "N 4"]) -> Float[ndarray, "N 3
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     return np.array(rows).transpose(2, 0, 1)
+
+
+def _moves_with(values: Float[ndarray, "N"], travelled: Float[ndarray, "N"]) -> bool:
+    """Tell whether values differ from places that vary by a constant alone, in one or the other direction."""
+    if np.ptp(travelled) < LEAST_DEVIATION:
+        return False
+    return bool(min(np.ptp(values - travelled), np.ptp(values + travelled)) < _SAME * np.ptp(travelled))
 
 
 def _length(name: str, values: Float[ndarray, "N"]) -> Target:

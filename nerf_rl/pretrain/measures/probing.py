@@ -106,7 +106,9 @@ def probe_encoder(
         )
 
     result = ProbeResult(figures(encoder), figures(encoder.untrained(seed)))
-    if ceiling_steps and probed:
+    if ceiling_steps and not probed:
+        print("no supervised encoder: no column of the true state varies as the encoder's cameras see it", flush=True)
+    elif ceiling_steps:
         supervised = train_supervised(encoder, dataset, probed, ceiling_steps, seed)
         result.supervised = figures(supervised.to(encoder.latent_mean.device))
     return result

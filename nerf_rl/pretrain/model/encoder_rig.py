@@ -12,6 +12,8 @@ from nerf_rl.cameras.tracking_frame import TrackingFrame
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import RigMismatchError, UserError
 
+_FRAMES_AT_ONCE = 4096  # whose poses are read
+
 
 @dataclass(frozen=True)
 class EncoderRig:
@@ -75,15 +77,17 @@ class EncoderRig:
             UserError: they move otherwise than all with one body.
         """
         views = dataset.views("encoder")
-        intrinsics, poses = dataset.tracked_cameras(np.array([0, len(dataset) - 1]))
-        if not np.allclose(poses[0, views], poses[1, views]):
-            raise UserError(
-                f"{dataset.folder}: the encoder's cameras move, but an encoder needs fixed ones, or ones that all "
-                "follow the same body without turning"
-            )
+        intrinsics, first = dataset.tracked_cameras([0])
+        for begin in range(0, len(dataset), _FRAMES_AT_ONCE):  # all of them: what moves may come back
+            frames = np.arange(begin, min(begin + _FRAMES_AT_ONCE, len(dataset)))
+            if not np.allclose(dataset.tracked_cameras(frames)[1][:, views], first[:, views]):
+                raise UserError(
+                    f"{dataset.folder}: the encoder's cameras move, but an encoder needs fixed ones, or ones that all "
+                    "follow the same body without turning"
+                )
         names = tuple(dataset.camera_names[view] for view in views)
         size = dataset.manifest["height"], dataset.manifest["width"]
-        return cls(names, intrinsics[views], poses[0, views], *size, dataset.tracking_frame)
+        return cls(names, intrinsics[views], first[0, views], *size, dataset.tracking_frame)
 
 
 def _follow(frame: TrackingFrame | None) -> str:

@@ -21,6 +21,7 @@ from nerf_rl.pretrain.model.checkpoint_file import ENCODER
 from nerf_rl.pretrain.model.encoder import Encoder
 from nerf_rl.pretrain.model.encoder_file import SIMULATORS
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
+from nerf_rl.pretrain.stopping import parse_goal
 
 _WARM_UP = 0.03  # share of the schedule in which the learning rate rises
 _LAST_RATE = 0.02  # of the peak rate
@@ -57,6 +58,8 @@ class EncoderModule(lightning.LightningModule):
         self.class_share: dict[str, float] = {}
         self.validated_step = -1
         """the step that ``validation``, ``class_iou`` and ``class_share`` (of the pixels) are of"""
+        self.judged: dict[str, float | None] = {}
+        """figures of the last validation in the course of training, by which it may end"""
         self.other_cameras: dict[str, dict[str, float | None]] = {}
         """what ``validation`` is of the encoder's cameras, of those of other roles"""
         self.last_losses: dict[str, Tensor] = {}
@@ -90,6 +93,11 @@ class EncoderModule(lightning.LightningModule):
             spent = self.seconds / (60.0 * self.config.max_minutes)
             done = max(done, spent if spent > _START else 0.0)
         return min(done, 1.0)
+
+    def is_good_enough(self) -> bool:
+        """Tell whether the last validation reached what ``stop_when`` asks for, be it before the run was resumed."""
+        goal = self.config.stop_when
+        return goal is not None and parse_goal(goal).is_reached(self.judged)
 
     def seconds_left(self) -> float:
         """Return for how long the run may go on training at most [s]."""
@@ -132,9 +140,9 @@ class EncoderModule(lightning.LightningModule):
             raise NotFiniteError(self.global_step, {name: float(value) for name, value in self.last_losses.items()})
 
     def on_train_batch_start(self, batch: Any, step: int) -> int | None:
-        """Count the time; end the run when the budget is spent."""
+        """Count the time; end the run when the budget is spent, or where a resumed one had been good enough."""
         self._count_time()
-        if self.progress() >= 1.0:
+        if self.progress() >= 1.0 or self.is_good_enough():
             self.trainer.should_stop = True
             return -1
         return None
@@ -174,11 +182,12 @@ class EncoderModule(lightning.LightningModule):
         return self._dataset.palette
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Keep the time spent, which the schedule may depend on, and what makes the encoder usable by itself.
+        """Keep what schedule and end may depend on, and what makes the encoder usable by itself.
 
-        That is its description and the statistics of its latents, which belong to these very weights.
+        Those are the time spent and the last validation; its description, and the statistics of its latents, which
+        belong to these very weights.
         """
-        checkpoint["seconds"] = self.seconds
+        checkpoint["seconds"], checkpoint["validation"] = self.seconds, self.judged
         classes = {"classes": list(self._dataset.class_names), "palette": self.palette.tolist()}
         checkpoint[ENCODER] = {**self.encoder.describe(), **classes}
         frames = FRAMES if self.progress() >= 1.0 else FRAMES_IN_TRAINING
@@ -186,5 +195,5 @@ class EncoderModule(lightning.LightningModule):
         checkpoint["state_dict"] |= {"encoder.latent_mean": mean, "encoder.latent_std": deviation}
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Restore the time spent."""
-        self.seconds = checkpoint["seconds"]
+        """Restore the time spent and the last validation."""
+        self.seconds, self.judged = checkpoint["seconds"], checkpoint.get("validation", {})

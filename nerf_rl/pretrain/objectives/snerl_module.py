@@ -26,7 +26,6 @@ from nerf_rl.pretrain.model.precision import in_full_precision, resolve_precisio
 from nerf_rl.pretrain.model.ray_rendering import RenderedImages, SampleNoise, render_depth_guided, render_images
 from nerf_rl.pretrain.objectives.encoder_module import EncoderModule
 from nerf_rl.pretrain.objectives.losses import SEGMENTATION, losses, segmentation_loss, weighted_sum
-from nerf_rl.pretrain.stopping import parse_goal
 
 _PLANE_RATE = 10.0  # of feature planes, times the learning rate: few rays reach any one cell
 ENCODER_CAMERAS = "encoder"
@@ -61,6 +60,8 @@ class SnerlModule(EncoderModule):
             teacher_width,
             len(anchors.classes),
         )
+        if LABELS in dataset.absent:  # nothing teaches it, which processes that exchange gradients would refuse
+            self.field.semantic_head.requires_grad_(False)
         self.field.place_anchors(*(torch.from_numpy(value) for value in (anchors.mean, anchors.spread, anchors.size)))
         self.register_buffer("anchor_spread", torch.from_numpy(anchors.spread).float(), persistent=False)
         self.threads = 1
@@ -209,8 +210,10 @@ class SnerlModule(EncoderModule):
             known = {f"{folder}/{name}": value for name, value in pictures.figures.items() if value is not None}
             self.log_dict(known, rank_zero_only=True)
         self.validated_step = self.global_step
-        if self.config.stop_when and self._is_fitting and parse_goal(self.config.stop_when).is_reached(self.validation):
-            self.trainer.should_stop = True
+        if self.config.stop_when and self._is_fitting:
+            self.judged = dict(self.validation)
+            if self.is_good_enough():
+                self.trainer.should_stop = True
 
     @property
     def far(self) -> float:
@@ -234,8 +237,8 @@ class SnerlModule(EncoderModule):
         return self.encoder.encode(torch.from_numpy(images))[0]
 
     def _render(self, latent: Float[Tensor, "Z"], frame: int, role: str) -> RenderedImages:
-        """Render what a latent describes from where the cameras of a role were in a frame."""
+        """Render what a latent describes from where the cameras of a role were in a frame, where the field lives."""
         rig, views = self.encoder.rig, self._views[role]
-        intrinsics, poses = self._dataset.cameras([frame])
+        intrinsics, poses = self._dataset.tracked_cameras([frame])
         size = rig.height, rig.width
         return render_images(self.field, latent, intrinsics[views], poses[0, views], *size, self.config.sampling)

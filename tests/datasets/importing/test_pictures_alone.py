@@ -12,6 +12,7 @@ from captures import HEIGHT, NAMES, TINY, WIDTH, read, write_capture
 from nerf_rl import cli
 from nerf_rl.datasets.storage.frames import read_columns, read_frame
 from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.pretrain.objectives.snerl_module import SnerlModule
 from nerf_rl.viewer.drawing.charts import statistics_charts
 from nerf_rl.viewer.drawing.pictures import camera_strip, magnify
 from nerf_rl.viewer.drawing.statistics import sample_statistics
@@ -28,7 +29,9 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> MultiViewDataset:
     return read(folder / "capture", folder / "data")
 
 
-def test_pictures_alone_are_enough_for_a_field_of_colours(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_pictures_alone_are_enough_for_a_field_of_colours(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
     write_capture(tmp_path / "capture")
     dataset = read(tmp_path / "capture", tmp_path / "data")
     assert dataset.absent == ("depth", "labels", "state") and dataset.views("encoder") == [0, 1, 2]
@@ -48,7 +51,14 @@ def test_pictures_alone_are_enough_for_a_field_of_colours(tmp_path: Path, capsys
     assert cli.main([*anchors, "--out", str(tmp_path / "run")]) == 2
     assert "has no depth and no labels, which --objective anchors learns from" in capsys.readouterr().err
     rgb = [*command, "--config", str(PRETRAIN / "objectives" / "field-rgb.yaml"), *TINY, "--log_every", "1"]
-    assert cli.main([*rgb, "--out", str(tmp_path / "run")]) == 0
+    idle: set[str] = set()  # would be refused where processes exchange gradients
+
+    def note_idle(module: SnerlModule) -> None:
+        parameters = module.named_parameters()
+        idle.update(name for name, parameter in parameters if parameter.requires_grad and parameter.grad is None)
+
+    monkeypatch.setattr(SnerlModule, "on_after_backward", note_idle)
+    assert cli.main([*rgb, "--out", str(tmp_path / "run")]) == 0 and not idle
     (grid,) = [cv2.imread(str(path)) for path in sorted((tmp_path / "run" / "reconstructions").iterdir())[-1:]]
     truth, rendering = (
         grid[: 2 * HEIGHT, 3 * (2 * WIDTH + 2) :],

@@ -126,3 +126,14 @@ def test_a_run_stops_where_it_is_good_enough(
     summary = json.loads((tmp_path / "run/summary.json").read_text())
     assert summary["steps"] == steps and summary["validation"]["psnr_db"] > 1
     assert (tmp_path / "run/encoder.safetensors").exists()
+
+
+def test_a_run_that_was_good_enough_stays_at_its_end_when_it_is_resumed(
+    tiny_dataset: Path, tiny_pretraining_recipe: Path, tmp_path: Path
+):
+    """As one is that was killed while its encoder was probed; another goal, which it has not reached, lets it go on."""
+    words = tiny_pretraining_recipe, tiny_dataset, tmp_path / "run", "--stop_when"
+    for goal, steps in (("psnr_db>=1", 4), ("psnr_db>=1", 4), ("psnr_db>=90", 6)):
+        assert pretrain(*words, goal, "--resume", "true") == 0
+        summary = json.loads((tmp_path / "run/summary.json").read_text())
+        assert summary["steps"] == steps and summary["class_iou"]

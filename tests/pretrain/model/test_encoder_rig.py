@@ -93,3 +93,22 @@ def test_encoder_cameras_that_move_are_refused(tiny_dataset: Path):
     dataset.manifest["cameras"][3]["role"] = "encoder"
     with pytest.raises(UserError, match="the encoder's cameras move, but an encoder needs fixed ones"):
         EncoderRig.of_dataset(dataset)
+
+
+def test_cameras_that_move_and_come_back_do_not_stand_still(tiny_dataset: Path, monkeypatch: pytest.MonkeyPatch):
+    dataset = MultiViewDataset(tiny_dataset)
+    names = EncoderRig.of_dataset(dataset).names
+    real = dataset.cameras
+
+    def moving(frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        intrinsics, poses = real(frames)
+        poses[np.asarray(frames) == 5, dataset.views("encoder")[0], 0, 3] += 0.1
+        return intrinsics, poses
+
+    monkeypatch.setattr(dataset, "cameras", moving)
+    assert len(dataset) > 6 and names == ("left", "right")
+    with pytest.raises(UserError, match="the encoder's cameras move"):
+        EncoderRig.of_dataset(dataset)
+    monkeypatch.setattr("nerf_rl.pretrain.model.encoder_rig._FRAMES_AT_ONCE", 5)
+    with pytest.raises(UserError, match="the encoder's cameras move"):
+        EncoderRig.of_dataset(dataset)
