@@ -12,7 +12,8 @@ from jsonargparse import ActionConfigFile, ArgumentError, ArgumentParser, set_pa
 
 from nerf_rl.arguments.explanations import explain
 from nerf_rl.arguments.limits import require_finite
-from nerf_rl.arguments.recipes import check_all_that_is_read, check_recipe, require_keys
+from nerf_rl.arguments.recipes import check_all_that_is_read, check_part, check_recipe, is_part, require_keys
+from nerf_rl.errors import UserError
 
 _ALONE = ("-h", "--help", "--print_config")  # keys without a value
 
@@ -68,7 +69,7 @@ def config_of(config: type, content: Mapping[str, Any]) -> Any:
 @functools.cache  # reading a dataclass's types and docstrings takes longer than parsing
 def _parser(config: type, program: str = "", description: str = "") -> ArgumentParser:
     """Return the parser of a dataclass's keys; with a program, of recipes as well."""
-    parser = ArgumentParser(prog=program or None, description=description, exit_on_error=False)
+    parser = ArgumentParser(prog=program or None, description=description, exit_on_error=False, allow_abbrev=False)
     if program:
         parser.add_argument("--config", action=ActionConfigFile, help="recipe (YAML); --key value overrides it")
     parser.add_class_arguments(config)
@@ -76,25 +77,40 @@ def _parser(config: type, program: str = "", description: str = "") -> ArgumentP
 
 
 def _check_recipes(arguments: Sequence[str], config: type) -> Iterator[str]:
-    """Yield the arguments, once each recipe is checked; in place of one that can be read only once stands its text."""
+    """Yield the arguments, once each recipe and each part of one is checked.
+
+    In place of a file that can be read only once stands its text.
+    """
     words = iter(arguments)
     for word in words:
-        if word == "--config" and (recipe := next(words, None)) is not None:
-            word = f"--config={recipe}"  # a text may begin with a hyphen
-        if word.startswith("--config="):
-            recipe = word.partition("=")[2]
-            text = check_recipe(Path(recipe), config)
-            word = word if text is None else f"--config={text}"
-        yield word
+        key, is_joined, value = word.removeprefix("--").partition("=")
+        if not word.startswith("--") or not (key == "config" or is_part(key, config)):
+            yield word
+            continue
+        given = value if is_joined else next(words, None)
+        if given is None:
+            yield word
+            continue
+        text = check_recipe(Path(given), config) if key == "config" else check_part(key, given, config)
+        yield f"--{key}={given if text is None else text}"  # joined, since a text may begin with a hyphen
 
 
 def _name_positional(arguments: Sequence[str], key: str) -> Iterator[str]:
-    """Yield the arguments with ``--key=`` before each word that is neither a key nor the value of the key before."""
-    is_value = False
+    """Yield the arguments with ``--key=`` before each word that is neither a key nor the value of the key before.
+
+    Raises:
+        UserError: there are several, and the key is no list to which each is appended.
+    """
+    is_value, taken = False, ""
     for word in arguments:
         if word.startswith("-"):
             is_value = "=" not in word and word not in _ALONE
             yield word
-        else:
-            yield word if is_value else f"--{key}={word}"
+        elif is_value:
+            yield word
             is_value = False
+        else:
+            if taken and not key.endswith("+"):
+                raise UserError(f"one {key} is taken, got {taken} and {word}")
+            yield f"--{key}={word}"
+            taken = word

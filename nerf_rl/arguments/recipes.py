@@ -6,6 +6,7 @@ file, where keys are expected, and imports or reads it before it finds that it w
 """
 
 import dataclasses
+import os
 import typing
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -15,7 +16,7 @@ import yaml
 from jsonargparse import get_loader, set_loader
 
 from nerf_rl.arguments.explanations import explain, keys_of, part_of
-from nerf_rl.errors import MissingFileError
+from nerf_rl.errors import MissingFileError, UserError
 
 _MOST_BYTES = 1 << 20
 _MOST_VALUES = 100_000
@@ -41,11 +42,7 @@ def check_recipe(path: Path, config: type) -> str | None:
     if not path.exists() or path.is_dir():
         return None
     try:
-        with open(path, "rb") as file:
-            read = file.read(_MOST_BYTES + 1)
-        if len(read) > _MOST_BYTES:
-            raise ValueError(f"it is larger than {_MOST_BYTES} bytes")
-        text = read.decode("utf-8")
+        text = _read(path)
         _count(text)
         content = yaml.safe_load(text)
         if isinstance(content, dict) and "config" in content:
@@ -57,6 +54,48 @@ def check_recipe(path: Path, config: type) -> str | None:
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise MissingFileError("a recipe", path, str(error) or "it cannot be read", _REMEDY) from error
     return None if path.is_file() else text
+
+
+def check_part(part: str, given: str, config: type) -> str | None:
+    """Check what the command line gives for a part that is made of keys: a file of them, or the keys themselves.
+
+    Words in the place of keys are refused. What else may be wrong is left to the parser.
+
+    Args:
+        part: its dotted key.
+        given: a file's path, or YAML.
+        config: the dataclass that it is of.
+
+    Returns:
+        As :func:`check_recipe`.
+
+    Raises:
+        UserError: the file cannot be read, a key that there is not, or words in the place of keys.
+    """
+    is_file = os.path.exists(given) and not os.path.isdir(given)  # of a name that is too long as well
+    try:
+        text = _read(Path(given)) if is_file else given
+        _count(text)
+        content = yaml.safe_load(text)
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
+        told = " ".join(str(error).split())
+        raise UserError(f"{given} cannot be read: {told}" if is_file else f"--{part}: {told}") from error
+    for name, value, _ in _parts({part: content}, config, ""):
+        if isinstance(value, str):
+            what = "keys, or a file of them" if name == part else "keys"
+            raise UserError(f"--{name}: expected {what}, got {value[:_SHOWN]}")
+    _require_known({part: content}, config)
+    return text if is_file and not os.path.isfile(given) else None
+
+
+def is_part(key: str, config: type) -> bool:
+    """Return whether a dotted key names a part of a dataclass that is made of keys, or a list or dictionary of such."""
+    first, rest = _first_of(key)
+    hint = typing.get_type_hints(config).get(first)
+    part = part_of(hint)
+    if part is not None and rest and typing.get_origin(hint) is dict:
+        rest = rest.partition(".")[2]  # after the name of a member
+    return part is not None and (not rest or is_part(rest, part))
 
 
 def require_keys(content: Mapping[Any, Any], config: type) -> None:
@@ -73,10 +112,25 @@ def require_keys(content: Mapping[Any, Any], config: type) -> None:
     for name, value, part in _parts(content, config, ""):
         if not isinstance(value, Mapping):
             raise ValueError(f"{name} must be keys ({', '.join(keys_of(part))}), got {str(value)[:_SHOWN]!r}")
+    _require_known(content, config)
+
+
+def _require_known(content: Mapping[Any, Any], config: type) -> None:
+    """Raise UserError for a key that a part does not have."""
+    for name, value, part in _parts(content, config, ""):
         known = {field.name for field in dataclasses.fields(part)}
-        for key in value:
+        for key in value if isinstance(value, Mapping) else ():
             if _first_of(key)[0] not in known:
                 raise explain(f"Option '{name}.{key}' is not accepted", config)
+
+
+def _read(path: Path) -> str:
+    """Return a file's text; raise OSError or ValueError if it cannot be a recipe's."""
+    with open(path, "rb") as file:
+        read = file.read(_MOST_BYTES + 1)
+    if len(read) > _MOST_BYTES:
+        raise ValueError(f"it is larger than {_MOST_BYTES} bytes")
+    return read.decode("utf-8")
 
 
 def _parts(content: Mapping[Any, Any], config: type, prefix: str) -> Iterator[tuple[str, Any, type]]:

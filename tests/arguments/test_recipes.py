@@ -80,6 +80,64 @@ def test_what_comes_through_a_pipe_is_looked_at_as_a_file_is(
     assert "turtledemo" not in sys.modules, "a module that a recipe names is not imported"
 
 
+@pytest.mark.parametrize(
+    "key, text, fault",
+    [
+        ("rig", "turtledemo.Rig", "--rig: expected keys, or a file of them, got turtledemo.Rig"),
+        ("rig", "class_path: turtledemo.Rig", "unknown key 'rig.class_path'"),
+        ("rig", "random: turtledemo.Rig", "--rig.random: expected keys, got turtledemo.Rig"),
+        ("rig.random", "turtledemo.Rig", "--rig.random: expected keys, or a file of them, got turtledemo.Rig"),
+        ("rig.random", "{class_path: turtledemo.Rig}", "unknown key 'rig.random.class_path'"),
+        ("rig.rings", "[turtledemo.Rig]", "--rig.rings: expected keys, or a file of them, got turtledemo.Rig"),
+        ("rig", "config: other.yaml", "unknown key 'rig.config'"),
+        ("rig", BOMB, "has more than 100000 values"),
+    ],
+)
+@pytest.mark.parametrize("written", ["apart", "joined"])
+@pytest.mark.parametrize("source", ["file", "pipe", "words"])
+def test_parts_on_the_command_line_are_looked_at_as_recipes_are(
+    key: str, text: str, fault: str, written: str, source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.delitem(sys.modules, "turtledemo", raising=False)
+    with contextlib.ExitStack() as stack:
+        given = text
+        if source == "pipe":
+            given = str(stack.enter_context(piped(text, tmp_path)))
+        elif source == "file":
+            given = str(tmp_path / "part.yaml")
+            Path(given).write_text(text)
+        words = [f"--{key}", given] if written == "apart" else [f"--{key}={given}"]
+        refusal = stack.enter_context(pytest.raises(UserError))
+        cli.parse("gen-dataset", [*words, "--out", "o"])
+    assert fault in str(refusal.value) and "\n" not in str(refusal.value)
+    assert "turtledemo" not in sys.modules, "a module that a part names is not imported"
+
+
+def test_a_part_may_be_a_file_or_keys_of_its_own(tmp_path: Path):
+    (tmp_path / "rig.yaml").write_text("random: {count: 2}")
+    with piped("random: {count: 2}", tmp_path) as pipe:
+        for given in (str(tmp_path / "rig.yaml"), "{random: {count: 2}}", str(pipe)):
+            assert cli.parse("gen-dataset", ["--rig", given, "--out", "o"]).rig.random.count == 2
+    assert cli.parse("gen-dataset", ["--rig.random", "{count: 2}", "--out", "o"]).rig.random.count == 2
+
+
+@pytest.mark.parametrize(
+    "words", [["--conf", "r.yaml"], ["--conf=r.yaml"], ["--see", "3"], ["--rig.ran", "{count: 2}"]]
+)
+def test_keys_are_not_cut_short(words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """So a recipe is found by its key, and what looks like a mistake is told as one."""
+    monkeypatch.chdir(tmp_path)
+    Path("r.yaml").write_text("size: 24")
+    with pytest.raises(UserError, match="unknown key"):
+        cli.parse("gen-dataset", [*words, "--out", "o"])
+
+
+@pytest.mark.parametrize("command", ["check", "view", "export", "import", "push"])
+def test_one_path_is_taken_where_there_is_one(command: str):
+    with pytest.raises(UserError, match=r"one \w+ is taken, got a and b"):
+        cli.parse(command, ["a", "b", *(["--out", "o"] if command in ("export", "import") else [])])
+
+
 def test_what_is_no_text_is_no_recipe(tmp_path: Path):
     (tmp_path / "recipe.yaml").write_bytes(b"\xff\xfesize: 24")
     with pytest.raises(UserError, match=r"recipe\.yaml is not a recipe: 'utf-8' codec can't decode"):
