@@ -69,9 +69,25 @@ class NamedGoalSlider(Slider):
         return {name: {"cart": part} if "goal" in name else part for name, part in super()._get_obs().items()}
 
 
+class LateSlider(Slider):
+    """Its episodes are of different lengths, and tell at their end alone whether they succeeded, which they all do."""
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict[str, Any], dict]:
+        observation, info = super().reset(seed=seed, options=options)
+        self.left = int(self.np_random.integers(3, 9))
+        return observation, info
+
+    def step(self, action: np.ndarray) -> tuple[dict[str, Any], float, bool, bool, dict]:
+        observation, reward, *_ = super().step(action)
+        self.left -= 1
+        return observation, reward, self.left == 0, False, {} if self.left else {"is_success": True}
+
+
 gymnasium.register("Slider-v0", entry_point=Slider, max_episode_steps=20)
 gymnasium.register("NamedGoalSlider-v0", entry_point=NamedGoalSlider, max_episode_steps=20)
+gymnasium.register("LateSlider-v0", entry_point=LateSlider, max_episode_steps=20)
 SLIDER, NAMED_GOAL_SLIDER = "gym/own_environments:Slider-v0", "gym/own_environments:NamedGoalSlider-v0"
+LATE_SLIDER = "gym/own_environments:LateSlider-v0"
 
 
 def train(out: Path, *arguments: str) -> int:

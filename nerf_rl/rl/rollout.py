@@ -79,6 +79,7 @@ def rollout(
     latents: list[ndarray] = []
     observations, actions, rewards = [], [], []
     success: list[bool] = []
+    told = False
 
     def look() -> None:
         view.append(camera.picture())
@@ -97,8 +98,9 @@ def rollout(
             look()
             actions.append(action)
             rewards.append(float(reward))
-            success += [bool(info["success"])] if "success" in info else []
-            ended = terminated or truncated or any(success[-1:])
+            told = told or "success" in info
+            success.append(bool(info.get("success", False)))  # some tell of it at the end alone
+            ended = terminated or truncated or success[-1]
     finally:
         camera.close()
         env.close()
@@ -109,7 +111,7 @@ def rollout(
         np.stack(observations),
         np.stack(actions),
         np.array(rewards),
-        np.array(success) if success else None,
+        np.array(success) if told else None,
     )
 
 

@@ -97,7 +97,7 @@ class BaselineTrainer(BaseCallback):
         normaliser = self._sb3.get_vec_normalize_env()
         self._returns += self.locals["rewards"] if normaliser is None else normaliser.get_original_reward()
         self._length += steps
-        self._tells = all("success" in info for info in infos)
+        self._tells = self._tells or any("success" in info for info in infos)  # some tell of it at the end alone
         self._success |= np.array([info.get("success", False) for info in infos])
         self.env_steps += int(steps.sum())
         for env in np.flatnonzero(dones).tolist():

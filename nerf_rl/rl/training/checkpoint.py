@@ -45,6 +45,7 @@ _STRUCTURE = mapping(
     },
     {
         "format": whole(1),
+        "tells_success": flag,
         **CURRICULUM,
         **EXPLORATION,
         "demonstrations": mapping({**dict.fromkeys(("episodes", "tries", "env_steps"), whole(1)), "cloned": flag}),

@@ -86,7 +86,7 @@ class Trainer:
         self._n_steps = [NStep(learner.n_step, learner.gamma) for _ in range(count)]
         self._hindsight = self._make_hindsight(goal_task)
         self._length = np.zeros(count, np.int64)
-        self._returns, self._success = np.zeros(count), np.zeros(count, np.bool_)
+        self._returns, self._success, self._tells = np.zeros(count), np.zeros(count, np.bool_), False
         eased = (config.retry_share, config.steps_after_success)
         self._curriculum = Curriculum(config.seed, count, *eased, self._rng, config.echo_share)
         self._echoes = Echoes(count, REMEMBERED if config.echo_share else 0, self._rng)
@@ -181,6 +181,7 @@ class Trainer:
             "credit": self._credit,
             **self._curriculum.state_dict(),
             "seconds": self.seconds,
+            "tells_success": self._tells,
             "rng": self._rng.bit_generator.state,
             "evaluations": self.evaluations,
             "monitor": self._monitor.state_dict(),
@@ -215,6 +216,7 @@ class Trainer:
         self.replay.load_state(replay | {"rows": load_rows(checkpoint, oldest, stored)}, checkpoint)
         self.env_steps, self.agent.updates, self.episodes = facts["env_steps"], facts["updates"], facts["episodes"]
         self._credit, self._seconds_before, self.evaluations = facts["credit"], facts["seconds"], facts["evaluations"]
+        self._tells = facts.get("tells_success", False)
         self._curriculum.load_state_dict(facts)
         sizes = (self.observation_size, self.action_size)
         self._echoes.load_state_dict(strip_prefix(tensors, "echo"), sizes, checkpoint)
@@ -277,6 +279,7 @@ class Trainer:
         self._returns += reward
         self._length += info["env_steps"]
         if "success" in info:
+            self._tells = True  # from now on: some environments tell of it at the end of an episode alone
             self._success |= info["success"].astype(np.bool_)
         done = terminated | truncated
         if not done.any():
@@ -284,7 +287,7 @@ class Trainer:
         for env in np.flatnonzero(done).tolist():
             self.episodes += 1
             self.replay.end_episode(env, self._value())
-            success = bool(self._success[env]) if "success" in info else None
+            success = bool(self._success[env]) if self._tells else None
             self._echoes.end(env, bool(success))
             self._curriculum.end(env, success)
             self._exploration.end_episode(success, self.env_steps)
@@ -296,7 +299,7 @@ class Trainer:
                 continue
             self._monitor.end_episode(self.env_steps, float(self._returns[env]), success)
             figures = {"episode_return": self._returns[env], "episode_length": float(self._length[env])}
-            self.metrics.gather(figures | ({"episode_success": float(self._success[env])} if "success" in info else {}))
+            self.metrics.gather(figures | ({"episode_success": float(self._success[env])} if self._tells else {}))
         return self._restart(done)
 
     def _explore(self, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E A"]:

@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import own_environments
 import pytest
 import torch
 
@@ -81,6 +82,18 @@ def test_training_runs_through_all_of_its_environments(tmp_path: Path) -> None:
     assert cli.main(["train-rl", "--algo", "ppo", "--out", str(out), *TINY, "--envs", "2"]) == 0
     assert json.loads((out / "summary.json").read_text())["episodes"] == 12
     assert torch.isfinite(torch.tensor(Policy.load(out).act(np.zeros((1, 39), np.float32)))).all()
+
+
+def test_success_that_one_environment_tells_at_its_episodes_end_is_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(Path(own_environments.__file__).parent))
+    keys = ["--algo", "ppo", "--scene", own_environments.LATE_SLIDER, *TINY, "--envs", "2", "--action_repeat", "1"]
+    assert cli.main(["train-rl", "--out", str(tmp_path / "run"), *keys]) == 0
+    with open(tmp_path / "run" / "monitor.csv", newline="") as file:
+        file.readline()
+        told = [row["is_success"] for row in csv.DictReader(file)]
+    assert len(told) > 10 and set(told) == {"1"}
 
 
 def test_a_missing_extra_is_told_in_a_sentence(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys) -> None:

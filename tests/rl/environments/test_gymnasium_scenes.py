@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from own_environments import BLOCK, NAMED_GOAL_SLIDER, ROOT, SLIDER, Slider, make_encoder, train
+from own_environments import BLOCK, LATE_SLIDER, NAMED_GOAL_SLIDER, ROOT, SLIDER, Slider, make_encoder, train
 
 from nerf_rl import cli
 from nerf_rl.errors import UserError
@@ -165,6 +165,16 @@ def test_success_is_read_under_both_names_and_absent_without():
     assert success_in({"is_success": np.float32(1.0)}) is True
     assert success_in({"success": 0.0, "other": 1}) is False
     assert success_in({"reward_dist": 1.0}) is None
+
+
+def test_success_may_be_told_at_the_end_of_an_episode_alone(tmp_path: Path):
+    assert train(tmp_path / "run", "--scene", LATE_SLIDER) == 0
+    words = ["--run", str(tmp_path / "run"), "--out", str(tmp_path / "test"), "--episodes", "5"]
+    assert cli.main(["evaluate", *words]) == 0
+    assert json.loads((tmp_path / "test" / "summary.json").read_text())["success_rate"] == 1.0
+    episode = rollout(tmp_path / "run", view_size=64)
+    assert episode.success is not None and episode.success.tolist() == [False] * (len(episode.actions) - 1) + [True]
+    assert len(episode.actions) > 1 and episode.outcome() == f"success at step {len(episode.actions)}"
 
 
 def test_goals_are_exchanged_as_the_environment_would():
