@@ -149,10 +149,13 @@ def describe(result: dict[str, Any], seconds: float) -> str:
 
 
 def _can_resume(run: Path, config: TrainRLConfig) -> bool:
-    """Tell whether the folder holds an interrupted run; raise UserError if it is one with other keys."""
+    """Tell whether the folder holds an interrupted run; raise UserError if it has other keys or another encoder."""
     if not (run / "config.yaml").is_file():
         return False
+    from nerf_rl.rl.training.checkpoint import require_same_encoder
+
     require_same_keys(run, config.content(), TrainRLConfig)
+    require_same_encoder(run, config.encoder)
     return True
 
 

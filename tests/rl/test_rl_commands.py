@@ -3,6 +3,7 @@
 import csv
 import json
 import multiprocessing
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from metaworld.env_dict import ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE
 
 from nerf_rl import cli
 from nerf_rl.errors import FailureError, UserError
+from nerf_rl.files.outputs import write_provenance
 from nerf_rl.pictures.video import write_mp4
 from nerf_rl.pretrain.model.encoder import Encoder
 from nerf_rl.rl.agents.policy import Policy
@@ -169,6 +171,30 @@ def test_a_checkpoint_of_agents_that_observed_something_else_is_not_gone_on_with
     keys = [*SHORT, "--env_steps", "140", "--resume", "true", "--envs", "1"]
     assert cli.main(["train-rl", "--out", str(out), *keys]) == 2
     assert "it is of an earlier version, whose agents observed something else; begin the run" in capsys.readouterr().err
+
+
+def test_a_run_is_not_gone_on_with_an_encoder_that_took_the_place_of_its_own(
+    tiny_encoder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    encoder, sweep = shutil.copytree(tiny_encoder, tmp_path / "encoder"), tmp_path / "sweep"
+    keys = ["train-rl", "--encoder", str(encoder), *SHORT, "--envs", "1"]
+    run = sweep / "seed-0"
+    assert cli.main([*keys, "--out", str(run)]) == 0
+    write_provenance(sweep, "train-rl", cli.parse("train-rl", [*keys[1:], "--out", str(sweep), "--seeds", "0..0"]))
+    with open(encoder / "encoder.safetensors", "ab") as file:
+        file.write(b"\0")
+    before = {path: path.stat().st_mtime_ns for path in sweep.rglob("*")}
+    longer = ["--env_steps", "140", "--resume", "true"]
+    for out in (["--out", str(run)], ["--out", str(sweep), "--seeds", "0..0"]):
+        assert cli.main([*keys, *longer, *out]) == 2
+        assert f"{encoder} is not the encoder that {run} was begun with" in capsys.readouterr().err
+    assert {path: path.stat().st_mtime_ns for path in sweep.rglob("*")} == before
+    shutil.copytree(tiny_encoder, encoder, dirs_exist_ok=True)
+    (file,) = run.glob("checkpoints/*/state.json")
+    facts = json.loads(file.read_text())
+    assert facts.pop("encoder_digest") == json.loads((run / "policy.json").read_text())["encoder_digest"]
+    file.write_text(json.dumps(facts))  # as an earlier version left it
+    assert cli.main([*keys, *longer, "--out", str(run)]) == 0
 
 
 def test_whoever_watches_evaluations_may_end_the_training(tmp_path: Path) -> None:

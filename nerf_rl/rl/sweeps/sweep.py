@@ -91,6 +91,10 @@ def _can_resume(out: Path, config: TrainRLConfig, seeds: list[int]) -> bool:
             f"{out} was begun with --seeds {stored}, and {_names(left_out)} would be left out; resume with all of them "
             "or use another --out"
         )
+    from nerf_rl.rl.training.checkpoint import require_same_encoder  # it takes PyTorch's time to import
+
+    for seed in seeds:
+        require_same_encoder(run_folder(out, seed), config.encoder)
     return True
 
 

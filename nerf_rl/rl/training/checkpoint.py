@@ -12,11 +12,14 @@ from typing import Any
 
 from torch import Tensor
 
-from nerf_rl.errors import BEGIN_ANEW, MissingFileError
+from nerf_rl.errors import BEGIN_ANEW, MissingFileError, UserError
 from nerf_rl.files.atomic import rename_durably
 from nerf_rl.files.json_files import read_json, write_json
-from nerf_rl.files.structure import flag, listing, mapping, number, one_of, whole
+from nerf_rl.files.outputs import SUMMARY
+from nerf_rl.files.structure import flag, listing, mapping, number, one_of, optional, text, whole
 from nerf_rl.files.tensor_files import read_tensors, write_tensors
+from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION, encoder_digest
+from nerf_rl.rl.config import NO_ENCODER
 from nerf_rl.rl.training.curriculum import STRUCTURE as CURRICULUM
 from nerf_rl.rl.training.deadlock import STRUCTURE as MONITOR
 from nerf_rl.rl.training.evaluation_results import EVALUATIONS
@@ -46,6 +49,7 @@ _STRUCTURE = mapping(
     {
         "format": whole(1),
         "tells_success": flag,
+        "encoder_digest": optional(text()),
         **CURRICULUM,
         **EXPLORATION,
         "demonstrations": mapping({**dict.fromkeys(("episodes", "tries", "env_steps"), whole(1)), "cloned": flag}),
@@ -111,3 +115,32 @@ def require_same_observations(facts: Mapping[str, Any], scene: str, folder: Path
     if facts.get("format", 1) < _FORMAT and scene.startswith(METAWORLD):
         reason = "it is of an earlier version, whose agents observed something else"
         raise MissingFileError("a checkpoint to go on from", folder, reason, BEGIN_ANEW)
+
+
+def require_same_encoder(run: Path, encoder: str) -> None:
+    """Raise UserError where what a run remembers was seen with another encoder than is at the same place now.
+
+    Args:
+        run: to be gone on with, or finished; one of an earlier version may not tell.
+        encoder: path or address, or none.
+    """
+    checkpoint = last_checkpoint(run)
+    if encoder == NO_ENCODER or (checkpoint is None and not (run / SUMMARY).is_file()):
+        return
+    told = [] if checkpoint is None else [checkpoint / _FACTS]
+    found = next(filter(None, map(_digest_in, [*told, run / POLICY_DESCRIPTION])), None)
+    if found is not None and found != encoder_digest(encoder):
+        raise UserError(
+            f"{encoder} is not the encoder that {run} was begun with, although it is at the same place; put that one "
+            f"back, or {BEGIN_ANEW}"
+        )
+
+
+def _digest_in(path: Path) -> str | None:
+    """Return the digest of an encoder that a file tells; damage is for others to tell of."""
+    try:
+        content = read_json(path)
+    except (OSError, ValueError):
+        return None
+    digest = content.get("encoder_digest") if isinstance(content, dict) else None
+    return digest if isinstance(digest, str) else None

@@ -19,7 +19,8 @@ from nerf_rl.machine.devices import resolve_device
 from nerf_rl.progress import Progress
 from nerf_rl.rl.agents.agent import ValuingAgent, make_agent
 from nerf_rl.rl.agents.policy import act
-from nerf_rl.rl.config import TrainRLConfig
+from nerf_rl.rl.agents.policy_file import encoder_digest
+from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
 from nerf_rl.rl.environments.goals import GoalTask
 from nerf_rl.rl.environments.make import reset_some
 from nerf_rl.rl.experience.hindsight import Hindsight
@@ -95,6 +96,7 @@ class Trainer:
         self.evaluations: list[dict[str, Any]] = []
         self._monitor = DeadlockMonitor()
         self.demonstrations = DemonstratedStart(config)
+        self._encoder_digest = None if config.encoder == NO_ENCODER else encoder_digest(config.encoder)
         if self._checkpoint is not None:
             self._load(self._checkpoint)
         self.metrics = MetricsLog(run / "metrics.csv", self.env_steps, make_loggers(config.loggers, run))
@@ -182,6 +184,7 @@ class Trainer:
             **self._curriculum.state_dict(),
             "seconds": self.seconds,
             "tells_success": self._tells,
+            "encoder_digest": self._encoder_digest,
             "rng": self._rng.bit_generator.state,
             "evaluations": self.evaluations,
             "monitor": self._monitor.state_dict(),
