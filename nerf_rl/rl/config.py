@@ -110,7 +110,7 @@ class ReplayConfig:
     demonstration_share: ShareBelowOne = 0.5
     """share of each batch that is drawn from the demonstrations, which are never replaced; only if there are any"""
     hindsight: Annotated[int, Limits(least=0, most=1000)] = 0
-    """copies of each transition with goals that were reached; only for scenes with a goal"""
+    """copies of each transition with goals that were reached; only for scenes with a goal, and an action_repeat of 1"""
     hindsight_random: Share = 0.0
     """share of these goals that were reached at any time in training; the others were, later in the same episode"""
 
@@ -330,6 +330,11 @@ class TrainRLConfig:
             raise UserError(
                 f"--success_bonus {self.success_bonus} is no part of the rewards that --replay.hindsight "
                 f"{self.replay.hindsight} computes; give one of them"
+            )
+        if self.replay.hindsight and self.action_repeat > 1:
+            raise UserError(
+                f"--replay.hindsight {self.replay.hindsight} computes the reward of a single step, and --action_repeat "
+                f"{self.action_repeat} sums those of so many; give --action_repeat 1"
             )
         if self.echo_share and not self.retry_share:
             raise UserError(f"--echo_share {self.echo_share} is of retries; give --retry_share, too")

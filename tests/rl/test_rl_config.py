@@ -43,6 +43,10 @@ ROOT = Path(__file__).parents[2]
         (["--replay.beta", "2"], "--replay.beta must be in [0, 1], got 2.0"),
         (
             ["--replay.hindsight", "4"],
+            "--replay.hindsight 4 computes the reward of a single step, and --action_repeat 2 sums those of so many; give",
+        ),
+        (
+            ["--replay.hindsight", "4", "--action_repeat", "1"],
             "--replay.hindsight needs a scene with a goal in its observation; metaworld/drawer",
         ),
         (["--replay.hindsight_random", "2"], "--replay.hindsight_random must be in [0, 1], got 2.0"),
