@@ -312,10 +312,7 @@ class TrainRLConfig:
         check_device_name(self.device)
         self._check_seeds()
         self._check_demonstrations()
-        if self.warmup_steps >= self.env_steps:
-            raise UserError(
-                f"--warmup_steps {self.warmup_steps} leaves nothing of --env_steps {self.env_steps} to learn in"
-            )
+        self._check_learning()
         if self.algo in OFF_POLICY_BASELINES and self.learning_starts not in (None, self.warmup_steps):
             raise UserError(f"--algo {self.algo} learns from the end of --warmup_steps on; leave out --learning_starts")
         if self.algo in ("sb3-ddpg", "sb3-td3") and self.noise.kind == "pink":
@@ -349,6 +346,24 @@ class TrainRLConfig:
         free = "out resume overwrite seeds workers backend env_steps episodes threads device checkpoint_every"
         free += " evaluation_every evaluation_episodes final_evaluation_episodes evaluation_to_end log_every loggers"
         return {key: value for key, value in dataclasses.asdict(self).items() if key not in free.split()}
+
+    def _check_learning(self) -> None:
+        """Raise UserError if there would not be a single update; PPO has none of these keys."""
+        if self.algo != "ppo" and self.warmup_steps >= self.env_steps:
+            raise UserError(
+                f"--warmup_steps {self.warmup_steps} leaves nothing of --env_steps {self.env_steps} to learn in"
+            )
+        if self.algo in BASELINES:
+            return
+        if self.learning_starts is not None and self.learning_starts >= self.env_steps:
+            raise UserError(
+                f"--learning_starts {self.learning_starts} leaves nothing of --env_steps {self.env_steps} to learn in"
+            )
+        if self.replay.capacity < self.learner.batch_size:
+            raise UserError(
+                f"--replay.capacity {self.replay.capacity} never holds a batch of --learner.batch_size "
+                f"{self.learner.batch_size}, so nothing would be learnt; give a larger memory or a smaller batch"
+            )
 
     def _check_demonstrations(self) -> None:
         if not self.demonstrations:

@@ -20,6 +20,11 @@ ROOT = Path(__file__).parents[2]
         (["--env_steps", "0"], "--env_steps must be at least 1, got 0"),
         (["--warmup_steps", "60000"], "--warmup_steps 60000 leaves nothing of --env_steps 50000 to learn in"),
         (["--learning_starts", "-1"], "--learning_starts must be at least 0, got -1"),
+        (["--learning_starts", "50000"], "--learning_starts 50000 leaves nothing of --env_steps 50000 to learn in"),
+        (
+            ["--replay.capacity", "127"],
+            "--replay.capacity 127 never holds a batch of --learner.batch_size 128, so nothing would be learnt; give",
+        ),
         (["--algo", "sb3-ddpg", "--learning_starts", "9"], "leave out --learning_starts"),
         (["--episode_steps", "1"], "--episode_steps 1 is less than --action_repeat 2"),
         (["--steps_after_success", "0"], "--steps_after_success must be at least 1, got 0"),
@@ -86,6 +91,13 @@ def test_a_mistake_in_training_keys_is_told_in_a_sentence_and_nothing_is_written
     assert cli.main(["train-rl", "--out", str(out), *arguments]) == 2
     assert words in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_keys_that_a_baseline_does_not_have_are_in_no_ones_way() -> None:
+    ppo = cli.parse("train-rl", ["--out", "x", "--algo", "ppo", "--env_steps", "1500"])
+    assert ppo.env_steps < ppo.warmup_steps
+    keys = ["--algo", "sb3-sac", "--replay.capacity", "100"]  # it draws a transition more than once
+    assert cli.parse("train-rl", ["--out", "x", *keys]).replay.capacity == 100
 
 
 @pytest.mark.parametrize(
