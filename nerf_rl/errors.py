@@ -16,6 +16,21 @@ class FailureError(Exception):
     """Work that could not be done: the command line prints the message without a traceback and exits with 1."""
 
 
+class DivergedError(FailureError):
+    """A run whose evaluation brought a return that is no number.
+
+    Attributes:
+        env_steps: that the run took until then.
+    """
+
+    def __init__(self, env_steps: int, episodes: int):
+        self.env_steps = env_steps
+        super().__init__(
+            f"the run diverged: after {env_steps} env steps the mean return of {episodes} evaluated episodes is not a "
+            "number; lower the learning rates, or see whether the environment's rewards are numbers"
+        )
+
+
 class UnknownNameError(UserError):
     """A name that is not among those available."""
 

@@ -25,6 +25,7 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
 
     Raises:
         UserError: no policy there, not its encoder, no such device, an existing output folder.
+        FailureError: its actions or its returns are no numbers.
     """
     run, out = find_run(config.run), Path(config.out)
     description = check_policy(run, config.encoder)
@@ -47,10 +48,11 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
     try:
         if policy.spec.encoder is not None:
             warn_of_workers_rendering(policy.spec.encoder, envs)
-        summary = run_episodes(envs, policy.act, seeds[: config.episodes]).summary()
+        found = run_episodes(envs, policy.act, seeds[: config.episodes])
     finally:
         envs.close(terminate=True)
-    summary |= {"env_steps": policy.env_steps}
+    found.require_numbers(policy.env_steps)
+    summary = found.summary() | {"env_steps": policy.env_steps}
     if policy.demonstrations:
         summary[DEMONSTRATIONS] = policy.demonstrations
     if config.video:

@@ -40,7 +40,7 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
     Raises:
         UserError: an unknown scene, an encoder that is missing or of another scene, no such columns to observe, an
             existing run, a full disk, an extra that is not installed, a device that is not there.
-        FailureError: some of several seeds failed.
+        FailureError: the run diverged, or some of several seeds failed.
     """
     encoder = None if config.encoder == NO_ENCODER else lasting(config.encoder)
     if encoder is not None:

@@ -1,5 +1,6 @@
 """What a trial is worth: the deterministic policy's evaluation at the end of training."""
 
+import math
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import Any
 import optuna
 from optuna.trial import Trial, TrialState
 
-from nerf_rl.errors import UserError
+from nerf_rl.errors import DivergedError, UserError
 from nerf_rl.files.folder_lock import release_folders
 from nerf_rl.tuning.config import TuneConfig
 from nerf_rl.tuning.recipe import trial_config
@@ -29,7 +30,7 @@ class TrainingObjective:
     """of the search"""
 
     def __call__(self, trial: Trial) -> float:
-        """Return the fitness.
+        """Return the fitness, which is no number if a run diverged.
 
         Raises:
             TrialPruned: the evaluations are poor.
@@ -42,6 +43,9 @@ class TrainingObjective:
             out = runs_of(self.config.out) / f"{trial.number:05d}-{seed}"
             try:
                 summary = self._train(trial, out, seed, spent)
+            except DivergedError as error:
+                trial.set_user_attr(ENV_STEPS, spent + error.env_steps)
+                return math.nan
             finally:
                 if not self.config.keep_runs:
                     shutil.rmtree(out, ignore_errors=True)

@@ -48,7 +48,7 @@ ROOT = Path(__file__).parents[2]
         (["--replay.beta", "2"], "--replay.beta must be in [0, 1], got 2.0"),
         (
             ["--replay.hindsight", "4"],
-            "--replay.hindsight 4 computes the reward of a single step, and --action_repeat 2 sums those of so many; give",
+            "--replay.hindsight 4 computes the reward of a single step, and --action_repeat 2 sums those of so many",
         ),
         (
             ["--replay.hindsight", "4", "--action_repeat", "1"],

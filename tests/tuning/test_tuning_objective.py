@@ -1,5 +1,6 @@
 """What a trial reports, costs and is worth, with a training that only says what it was asked to do."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from optuna.pruners import ThresholdPruner
 from optuna.trial import TrialState
 
 from nerf_rl import cli
-from nerf_rl.errors import UserError
+from nerf_rl.errors import DivergedError, UserError
 from nerf_rl.rl.config import TrainRLConfig
 from nerf_rl.tuning.objective import TrainingObjective, runs_of
 from nerf_rl.tuning.recipe import distributions
@@ -89,6 +90,22 @@ def test_a_search_for_success_in_a_scene_that_tells_of_none_says_so(
     objective = search(tmp_path, "--fitness", "success_rate")
     with pytest.raises(UserError, match="does not tell of success; search with --fitness mean_return"):
         run(optuna.create_study(), objective, 0.75)
+
+
+def test_a_run_that_diverges_is_worth_no_number_and_no_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def train(config: TrainRLConfig, on_evaluation: Callable[[dict[str, Any]], None]) -> dict[str, Any]:
+        on_evaluation({"env_steps": 2000, "mean_return": 1.0})
+        if config.seed == 0:
+            return {"env_steps": 4000, "evaluations": [{"mean_return": 1.0}]}
+        raise DivergedError(3000, 10)
+
+    monkeypatch.setattr("nerf_rl.rl.train.train_rl", train)
+    study = optuna.create_study(direction="maximize")
+    trial = study.ask()
+    trial.suggest_float("learner.gamma", 0.5, 1.0)
+    assert math.isnan(search(tmp_path, "--seeds", "3")(trial))
+    assert env_steps(study.get_trials()[0]) == 4000 + 3000
+    assert not any(runs_of(str(tmp_path)).glob("*"))
 
 
 def test_parameters_that_were_tried_before_are_not_trained_again(runs: list[TrainRLConfig], tmp_path: Path) -> None:

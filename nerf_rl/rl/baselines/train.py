@@ -127,6 +127,7 @@ class BaselineTrainer(BaseCallback):
         episodes = config.final_evaluation_episodes if self.finished else config.evaluation_episodes
         seeds = evaluation_seeds(0, episodes)
         found = run_episodes(self._evaluation_envs, act, seeds, config.evaluation_to_end)
+        found.require_numbers(self.env_steps)
         facts = {"env_steps": self.env_steps, "training_episodes": self.episodes}
         self.evaluations.append({**facts, **found.summary()})
         self._zoo.add_evaluation(self.env_steps, found)

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from nerf_rl.errors import DivergedError
 from nerf_rl.metrics import wilson_interval
 from nerf_rl.rl.environments.make import reset_some
 from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS
@@ -27,6 +28,11 @@ class Episodes:
     """sum of rewards until the episode was stopped"""
     length: Int[ndarray, "N"]
     """environment steps until the episode was stopped"""
+
+    def require_numbers(self, env_steps: int) -> None:
+        """Raise DivergedError if the returns, of a policy with so many environment steps behind it, are no numbers."""
+        if not np.isfinite(self.returns.mean()):
+            raise DivergedError(env_steps, len(self.returns))
 
     def summary(self) -> dict[str, Any]:
         """Return the counts and rates of ``summary.json``; the interval is Wilson's, 95 %."""

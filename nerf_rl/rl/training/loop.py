@@ -160,9 +160,14 @@ class Trainer:
         self.episodes += int((self._length > 0).sum())
 
     def evaluate(self, episodes: int) -> dict[str, Any]:
-        """Run evaluation episodes with the policy that is kept; return and keep the result."""
+        """Run evaluation episodes with the policy that is kept; return and keep the result.
+
+        Raises:
+            DivergedError: a return is no number.
+        """
         seeds = evaluation_seeds(0, episodes)
         found = run_episodes(self._envs, partial(act, self.agent.policy()), seeds, self._config.evaluation_to_end)
+        found.require_numbers(self.env_steps)
         told = {DEMONSTRATIONS: self._config.demonstrations} if self._config.demonstrations else {}
         facts = {"env_steps": self.env_steps, "training_episodes": self.episodes, **told}
         self.evaluations.append({**facts, **found.summary()})

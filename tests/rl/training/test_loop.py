@@ -12,7 +12,7 @@ from gymnasium.vector import AsyncVectorEnv
 from tiny_environment import point_envs
 from tiny_run import config, train
 
-from nerf_rl.errors import UserError
+from nerf_rl.errors import DivergedError, UserError
 from nerf_rl.files.tensor_files import read_tensors, write_tensors
 from nerf_rl.rl.training.checkpoint import last_checkpoint
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes
@@ -169,6 +169,26 @@ def test_a_checkpoint_with_an_impossible_random_state_is_told_of(envs: AsyncVect
     write_tensors(path, tensors | {"torch_rng": torch.full_like(tensors["torch_rng"], 255)})
     with pytest.raises(UserError, match="00000072 is damaged"):
         Trainer(config(tmp_path, resume=True), envs, tmp_path)
+
+
+def test_a_run_whose_returns_are_no_numbers_says_that_it_diverged(
+    envs: AsyncVectorEnv, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    step = envs.step_wait
+
+    def senseless(*arguments: Any, **keys: Any) -> Any:
+        observation, reward, *rest = step(*arguments, **keys)
+        return (observation, np.full_like(reward, np.nan), *rest)
+
+    trainer = Trainer(config(tmp_path), envs, tmp_path)
+    train(trainer, 48)
+    monkeypatch.setattr(envs, "step_wait", senseless)
+    with pytest.raises(
+        DivergedError, match="the run diverged: after 48 env steps the mean return of 3 evaluated"
+    ) as told:
+        trainer.evaluate(3)
+    trainer.replay.close()
+    assert told.value.env_steps == 48 and not trainer.evaluations
 
 
 @pytest.mark.parametrize("told", [True, False])
