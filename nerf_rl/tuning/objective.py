@@ -11,6 +11,7 @@ from optuna.trial import Trial, TrialState
 
 from nerf_rl.errors import DivergedError, UserError
 from nerf_rl.files.folder_lock import release_folders
+from nerf_rl.rl.training.evaluation_results import due
 from nerf_rl.tuning.config import TuneConfig
 from nerf_rl.tuning.recipe import trial_config
 
@@ -21,7 +22,8 @@ ENV_STEPS = "env_steps"
 class TrainingObjective:
     """Trains with a trial's parameters and returns the last evaluation, averaged over training seeds.
 
-    Evaluations of the first seed are reported to the study and may end the trial; the other seeds run to their end. The
+    Evaluations of the first seed are reported to the study, at the environment steps at which they were due, as others
+    came a little sooner or later; they may end the trial. The other seeds run to their end. The
     environment steps spent so far are kept with the trial, so those of pruned and failed ones are counted too. Training
     is a function of its parameters, so parameters that were tried before are not trained again.
     """
@@ -64,7 +66,7 @@ class TrainingObjective:
                 raise UserError(f"{run.scene} does not tell of success; search with --fitness mean_return")
             trial.set_user_attr(ENV_STEPS, spent + evaluation["env_steps"])
             if seed == 0:
-                trial.report(evaluation[self.config.fitness], evaluation["env_steps"])
+                trial.report(evaluation[self.config.fitness], due(evaluation["env_steps"], vars(run)))
                 if evaluation["env_steps"] < run.env_steps and trial.should_prune():
                     raise optuna.TrialPruned
 

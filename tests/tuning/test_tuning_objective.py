@@ -108,6 +108,26 @@ def test_a_run_that_diverges_is_worth_no_number_and_no_error(monkeypatch: pytest
     assert not any(runs_of(str(tmp_path)).glob("*"))
 
 
+@pytest.mark.parametrize("late", [0, 3])
+def test_what_is_reported_can_be_compared_however_late_it_came(
+    late: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Where episodes end within a held action, environments are not in step with the evaluations."""
+
+    def train(config: TrainRLConfig, on_evaluation: Callable[[dict[str, Any]], None]) -> dict[str, Any]:
+        assert config.envs * config.action_repeat == 4
+        for steps in (1500 + late, 3000 + late, 4000 + late):
+            on_evaluation({"env_steps": steps, "mean_return": 1.0})
+        return {"env_steps": 4000 + late, "evaluations": [{"mean_return": 1.0}]}
+
+    monkeypatch.setattr("nerf_rl.rl.train.train_rl", train)
+    objective = search(tmp_path, "--overrides", "{env_steps: 4000, evaluation_every: 1500, envs: 2, action_repeat: 2}")
+    study = optuna.create_study(direction="maximize")
+    run(study, objective, 0.75)
+    assert list(study.get_trials()[0].intermediate_values) == [1500, 3000, 4000]
+    assert env_steps(study.get_trials()[0]) == 4000 + late
+
+
 def test_parameters_that_were_tried_before_are_not_trained_again(runs: list[TrainRLConfig], tmp_path: Path) -> None:
     objective = search(tmp_path)
     study = optuna.create_study(direction="maximize")

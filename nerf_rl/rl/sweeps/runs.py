@@ -12,7 +12,7 @@ from nerf_rl.files.json_files import read_json
 from nerf_rl.files.outputs import PROVENANCE, SUMMARY
 from nerf_rl.files.structure import mapping, number, whole
 from nerf_rl.rl.config import TrainRLConfig
-from nerf_rl.rl.training.evaluation_results import DEMONSTRATIONS, EVALUATIONS, SUCCESS
+from nerf_rl.rl.training.evaluation_results import DEMONSTRATIONS, EVALUATIONS, SUCCESS, due
 
 GOOD = 0.95
 """success rate from which on a run counts as one that can do its task"""
@@ -52,7 +52,7 @@ def read_run(run: Path) -> dict[str, Any]:
     """
     summary, keys = read_json(run / SUMMARY), _keys(run)
     _SUMMARY(summary, "")
-    evaluations = [{"due": _due(evaluation["env_steps"], keys), **evaluation} for evaluation in summary["evaluations"]]
+    evaluations = [{"due": due(evaluation["env_steps"], keys), **evaluation} for evaluation in summary["evaluations"]]
     good = next((e["env_steps"] for e in evaluations if e.get(SUCCESS, 0.0) >= GOOD), None)
     return {
         "seed": read_json(run / PROVENANCE)["seed"],
@@ -73,14 +73,6 @@ def steps_so_far(run: Path) -> int:
 def _keys(run: Path) -> Mapping[str, Any]:
     """Return the keys of a run, with defaults for those that it did not have yet."""
     return with_defaults(yaml.safe_load((run / "config.yaml").read_text(encoding="utf-8")), TrainRLConfig)
-
-
-def _due(env_steps: int, keys: Mapping[str, Any]) -> int:
-    """Return the environment steps at which an evaluation was due: all environments step at once, so it comes late."""
-    for due in (keys["env_steps"], env_steps // keys["evaluation_every"] * keys["evaluation_every"]):
-        if 0 <= env_steps - due < keys["envs"] * keys["action_repeat"]:
-            return due
-    return env_steps
 
 
 def _seconds_at(run: Path, env_steps: int) -> float | None:

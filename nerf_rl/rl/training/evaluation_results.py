@@ -48,6 +48,19 @@ def tells_success(evaluations: Sequence[Mapping[str, Any]]) -> bool:
     return all(SUCCESS in evaluation for evaluation in evaluations)
 
 
+def due(env_steps: int, keys: Mapping[str, Any]) -> int:
+    """Return the environment steps at which an evaluation was due: all environments step at once, so it comes late.
+
+    Args:
+        env_steps: at which it came.
+        keys: of train-rl.
+    """
+    for step in (keys["env_steps"], env_steps // keys["evaluation_every"] * keys["evaluation_every"]):
+        if 0 <= env_steps - step < keys["envs"] * keys["action_repeat"]:
+            return step
+    return env_steps
+
+
 def describe_episodes(result: Mapping[str, Any]) -> str:
     """Return what evaluated episodes gave: the success rate with its interval, if there is one, and the return."""
     rate = ""
