@@ -11,7 +11,7 @@ from nerf_rl.arguments.stored_keys import require_same_keys
 from nerf_rl.errors import FailureError, UserError
 from nerf_rl.files.json_files import write_json
 from nerf_rl.files.outputs import SUMMARY, prepare_output, write_provenance
-from nerf_rl.rl.config import TrainRLConfig
+from nerf_rl.rl.config import BASELINES, TrainRLConfig
 from nerf_rl.rl.sweeps.figure import draw_sweep
 from nerf_rl.rl.sweeps.progress import SweepProgress
 from nerf_rl.rl.sweeps.runs import is_finished, read_run, run_folder
@@ -35,7 +35,8 @@ def train_seeds(train: Train, config: TrainRLConfig) -> dict[str, Any]:
         config: of the sweep.
 
     Raises:
-        UserError: the folder is in use, or holds a sweep with other keys or with seeds that are not asked for.
+        UserError: the folder is in use, or holds a sweep that cannot be gone on with so: with other keys, another
+            encoder or seeds that are not asked for, or of a baseline whose runs were to end sooner.
         FailureError: some seeds failed; it names them.
     """
     out, seeds = Path(config.out), parse_seeds(config.seeds)
@@ -91,10 +92,17 @@ def _can_resume(out: Path, config: TrainRLConfig, seeds: list[int]) -> bool:
             f"{out} was begun with --seeds {stored}, and {_names(left_out)} would be left out; resume with all of them "
             "or use another --out"
         )
+    runs = {seed: run_folder(out, seed) for seed in seeds}
+    ended = [seed for seed, run in runs.items() if (run / SUMMARY).is_file() and not is_finished(run, config)]
+    if config.algo in BASELINES and ended:
+        raise UserError(
+            f"--algo {config.algo} cannot go on with a run that has ended, as {_names(ended)} of {out} has; resume "
+            "with the --env_steps and --episodes that it was begun with, or use another --out"
+        )
     from nerf_rl.rl.training.checkpoint import require_same_encoder  # it takes PyTorch's time to import
 
-    for seed in seeds:
-        require_same_encoder(run_folder(out, seed), config.encoder)
+    for run in runs.values():
+        require_same_encoder(run, config.encoder)
     return True
 
 

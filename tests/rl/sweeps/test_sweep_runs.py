@@ -177,6 +177,20 @@ def test_a_folder_with_a_sweep_is_not_taken_for_anything_else(
     assert sorted(path.stat().st_mtime_ns for path in undisturbed.rglob("*")) == before
 
 
+def test_a_sweep_of_a_baseline_whose_runs_have_ended_is_not_made_longer(
+    undisturbed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    pytest.importorskip("stable_baselines3")
+    out = shutil.copytree(undisturbed, tmp_path / "ppo")
+    for file in (out / "config.yaml", *out.glob("seed-*/config.yaml")):
+        file.write_text(file.read_text().replace("algo: ddpg", "algo: ppo"))
+    before = {path: path.stat().st_mtime_ns for path in out.rglob("*")}
+    longer = ["--algo", "ppo", "--env_steps", "1200", "--resume", "true"]
+    assert cli.main(["train-rl", *SWEEP, "--out", str(out), *longer]) == 2
+    assert "--algo ppo cannot go on with a run that has ended, as seeds 0, 1 of" in capsys.readouterr().err
+    assert {path: path.stat().st_mtime_ns for path in out.rglob("*")} == before
+
+
 def test_a_single_run_does_not_become_a_sweep(undisturbed: Path, capsys: pytest.CaptureFixture[str]):
     out = str(undisturbed / "seed-0")
     assert cli.main(["train-rl", *TINY, "--out", out, "--seeds", "0..1", "--resume", "true"]) == 2
