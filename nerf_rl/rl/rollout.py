@@ -121,13 +121,15 @@ class _Camera:
     def __init__(self, env: gymnasium.Env, scene: Scene | None, size: int):
         self._env, self._scene, self._size = env, scene, size
         self._workspace = None if scene is None else scene.workspace()  # before an episode begins
-        self._renderer = MultiViewRenderer(scene.model, size, size, 1) if scene is not None else None
+        self._renderer: MultiViewRenderer | None = (
+            None  # of the model that the episode has, which may be one of its own
+        )
         self._intrinsics = intrinsics_from_fovy(_FOVY, size, size)[None]
         self._side: tuple[float, float] | None = None
 
     def picture(self) -> UInt8[ndarray, "S S 3"]:
         """Return what it sees now."""
-        if self._scene is None or self._workspace is None or self._renderer is None:
+        if self._scene is None or self._workspace is None:
             frame: Any = self._env.render()
             height, width, _ = frame.shape
             side = min(height, width)
@@ -135,6 +137,8 @@ class _Camera:
             square = frame[top : top + side, left : left + side]
             return cv2.resize(square, (self._size, self._size), interpolation=cv2.INTER_AREA)
         data = self._scene.render_data()
+        if self._renderer is None:
+            self._renderer = MultiViewRenderer(self._scene.model, self._size, self._size, 1)
         if self._side is None:
             self._side = _free_side(self._scene.model, data, self._workspace)
         pose = _pose(data, self._workspace, self._side)

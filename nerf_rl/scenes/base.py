@@ -1,6 +1,5 @@
 """What a scene is: a MuJoCo environment with named state columns."""
 
-import functools
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -40,6 +39,7 @@ class Scene(ABC):
     """how that changes, for agents that see by an encoder, where ``proprio_names`` have no velocities"""
     privileged_names: tuple[str, ...]
     """what only the simulator knows: hand, objects and goal [m]"""
+    _render_data: RenderData | None = None
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -53,11 +53,9 @@ class Scene(ABC):
 
     def render_data(self) -> mujoco.MjData:
         """Return the state to be drawn, with positions propagated from ``qpos``; the simulation is untouched."""
+        if self._render_data is None or self._render_data.model is not self.model:  # it may be another in each episode
+            self._render_data = RenderData(self.model)
         return self._render_data.of(self.data)
-
-    @functools.cached_property
-    def _render_data(self) -> RenderData:
-        return RenderData(self.model)
 
     @abstractmethod
     def proprio(self, observation: Any) -> Float[ndarray, "P"]:

@@ -11,14 +11,17 @@ class RenderData:
 
     Args:
         model: of the simulation; what has been moved in it is read at each call.
+
+    Attributes:
+        model: the same.
     """
 
     def __init__(self, model: mujoco.MjModel):
-        self._model, self._copy = model, mujoco.MjData(model)
+        self.model, self._copy = model, mujoco.MjData(model)
 
     def of(self, data: mujoco.MjData) -> mujoco.MjData:
         """Return a state to draw, which the next call overwrites; the simulation is untouched."""
-        model, copy = self._model, self._copy
+        model, copy = self.model, self._copy
         copy.qpos[:], copy.qvel[:], copy.time = data.qpos, data.qvel, data.time
         copy.mocap_pos[:], copy.mocap_quat[:] = data.mocap_pos, data.mocap_quat
         mujoco.mj_kinematics(model, copy)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
+import mujoco
 import numpy as np
 import torch
 from gymnasium.spaces import Box
@@ -64,11 +65,8 @@ class LatentObservation(gymnasium.ObservationWrapper):
         if device is not None:
             self.encoder.to(device)
         self._proprio = proprio
-        frame = self.encoder.rig.tracking_frame
-        self._followed = -1
-        if frame is not None:
-            simulation: Any = env.unwrapped
-            self._followed = body_id(simulation.model, frame.body, "the encoder's cameras")
+        simulation: Any = env.unwrapped
+        self._followed = self._body_in(simulation.model)
         self._recorded_of: tuple[Encoder, torch.device] | None = None
         self._encode: Callable[[Tensor], Tensor] = self.encoder.encode
         self._renderer: MultiViewRenderer | None = None
@@ -112,10 +110,23 @@ class LatentObservation(gymnasium.ObservationWrapper):
             self._renderer = None
         super().close()
 
+    def _body_in(self, model: mujoco.MjModel) -> int:
+        """Return the body that the cameras follow; -1 for none."""
+        frame = self.encoder.rig.tracking_frame
+        return -1 if frame is None else body_id(model, frame.body, "the encoder's cameras")
+
     def _make_renderer(self) -> MultiViewRenderer:
-        """Return the renderer, which is created late, in the process that renders."""
+        """Return the renderer of the environment's model, which is created late, in the process that renders.
+
+        Environments that randomise what they are made of may compile another model for each episode.
+        """
+        simulation: Any = self.env.unwrapped
+        if self._renderer is not None and self._render_data is not None:
+            if self._render_data.model is simulation.model:
+                return self._renderer
+            self._renderer.close()
+            self._renderer, self._followed = None, self._body_in(simulation.model)
         if self._renderer is None:
-            simulation: Any = self.env.unwrapped
             rig = self.encoder.rig
             self._render_data = RenderData(simulation.model)
             sizes, look = (rig.height, rig.width, len(rig.names)), (self.encoder.quality, self.encoder.pixels_per_metre)

@@ -1,12 +1,15 @@
 """What an agent's encoder sees of a simulation is what a dataset would have recorded of it."""
 
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 import torch
+from own_environments import Slider
 
+from nerf_rl.cameras.geometry import intrinsics_from_fovy, look_at
 from nerf_rl.cameras.rig_config import RigConfig
 from nerf_rl.cameras.tracking_frame import TrackingFrame, to_tracking_frame
 from nerf_rl.errors import UserError
@@ -107,6 +110,46 @@ def test_cameras_go_with_the_body_that_the_artefact_names():
         env._renderer.close()  # type: ignore[union-attr]
     assert np.abs(seen[0] - seen[1]).mean() < 3.0 < np.abs(seen[2] - seen[3]).mean()
     np.testing.assert_array_equal(seen[0], seen[2])
+
+
+class AnotherSlider(Slider):
+    """Its cart is of another size in each episode, for which the model is compiled anew; so is the order of bodies."""
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict[str, Any], dict]:
+        xml = self.XML.replace("0.05", f"{0.05 * (1 + (seed or 0))}")
+        if seed:
+            xml = xml.replace('<body name="cart">', '<body name="post" pos="0 0 -9"/><body name="cart">')
+        self.model = mujoco.MjModel.from_xml_string(xml)
+        self.data = mujoco.MjData(self.model)
+        return super().reset(seed=seed, options=options)
+
+
+@pytest.mark.parametrize("frame", [None, TrackingFrame("cart")])
+def test_an_environment_that_compiles_its_model_anew_is_seen_as_it_is_then(frame: TrackingFrame | None):
+    poses = look_at(np.zeros(3), 1.0, 30.0, -30.0)[None]
+    rig = EncoderRig(("view",), intrinsics_from_fovy(45.0, SIZE, SIZE)[None], poses, SIZE, SIZE, frame)
+    encoder = Encoder(EncoderConfig(latent=4, patch=8, channels=[8], hidden=8), rig).eval()
+    seen = []
+    for seeds in ((0, 2, 0), (2,)):
+        env = LatentObservation(AnotherSlider(), encoder)
+        for seed in seeds:
+            env.reset(seed=seed)
+            seen.append(env.last_images)
+        env.close()
+    small, large, again, fresh = seen
+    np.testing.assert_array_equal(large, fresh)
+    np.testing.assert_array_equal(small, again)
+    assert (small != large).any(-1).mean() > 0.05
+
+
+def test_what_a_scene_shows_is_of_the_model_that_it_has_now():
+    scene = make_scene("gym/own_environments:Slider-v0")
+    scene.env.reset(seed=0)
+    before = scene.render_data().xpos
+    env: Any = scene.env.unwrapped
+    env.model = mujoco.MjModel.from_xml_string(env.XML.replace('<body name="cart">', '<body name="cart" pos="0 0 1">'))
+    env.data = mujoco.MjData(env.model)
+    np.testing.assert_allclose(scene.render_data().xpos - before, [[0, 0, 0], [0, 0, 1]])
 
 
 def test_a_body_that_the_scene_does_not_have_is_told_with_those_that_it_has():
