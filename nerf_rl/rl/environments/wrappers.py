@@ -121,13 +121,18 @@ def with_unit_actions(env: gymnasium.Env) -> gymnasium.Env:
     """Return an environment that takes actions in [-1, 1], as agents give them.
 
     Raises:
-        UserError: it has no continuous actions, or they have no limits.
+        UserError: it has no continuous actions, or they have no limits, or no room between them.
     """
     space = env.action_space
     if not isinstance(space, Box) or len(space.shape) != 1:
         raise UserError(f"actions of {_label(env)} are no vectors of numbers: {space}")
     if not (np.isfinite(space.low).all() and np.isfinite(space.high).all()):
         raise UserError(f"actions of {_label(env)} have no limits, so [-1, 1] cannot be scaled to them: {space}")
+    if not np.issubdtype(space.dtype, np.floating) or not (space.low < space.high).all():
+        raise UserError(
+            f"actions of {_label(env)} must be floating-point numbers, each with a low below its high, for [-1, 1] to "
+            f"be scaled to them: {space}"
+        )
     if (space.low == -1).all() and (space.high == 1).all():
         return env
     return RescaleAction(env, np.float32(-1.0), np.float32(1.0))

@@ -131,6 +131,10 @@ def test_what_cannot_be_acted_in_is_told(capsys: pytest.CaptureFixture[str], tmp
     env.action_space = gymnasium.spaces.Box(-np.inf, np.inf, (2,))
     with pytest.raises(UserError, match="actions of Env have no limits"):
         with_unit_actions(env)
+    for space in (gymnasium.spaces.Box(-2, 2, (1,), np.int32), gymnasium.spaces.Box(np.zeros(2), np.array([1.0, 0.0]))):
+        env.action_space = space
+        with pytest.raises(UserError, match="actions of Env must be floating-point numbers, each with a low below its"):
+            with_unit_actions(env)
     env.action_space = gymnasium.spaces.Discrete(3)
     with pytest.raises(UserError, match="actions of Env are no vectors of numbers"):
         with_unit_actions(env)
