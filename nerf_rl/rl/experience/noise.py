@@ -22,10 +22,11 @@ class Noise:
     All kinds have the scheduled standard deviation s and differ only in correlation. ``gaussian`` is independent.
     ``ou`` is x <- (1 - theta) x + s sqrt(1 - (1 - theta)^2) n with standard normal n, whose stationary standard
     deviation is s (Uhlenbeck and Ornstein 1930, in discrete time), started from its stationary distribution. ``pink``
-    has a power spectrum of 1 / frequency over an episode (Eberhard et al. 2023): from trembling to leaning one way.
+    has a power spectrum of 1 / frequency over ``length`` steps (Eberhard et al. 2023), from trembling to leaning one
+    way, of which an episode that the environment itself ends sooner has the first.
 
     Args:
-        length: agent steps of an episode; pink noise repeats after that.
+        length: most agent steps of an episode, or fewer; pink noise repeats after that.
     """
 
     def __init__(self, config: NoiseConfig, envs: int, action_size: int, length: int, rng: np.random.Generator):

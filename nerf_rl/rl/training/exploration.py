@@ -15,6 +15,7 @@ from nerf_rl.rl.experience.noise import EpsilonZGreedy, Noise, linear_schedule
 STRUCTURE = {"awaits_success": flag, "lately": listing(flag), "failures": whole()}
 """of what :meth:`Exploration.state_dict` has beside ``explored_from``, which checkpoints of every version hold"""
 _HELD_IN_WARM_UP = 0.8  # of the steps
+_LONGEST_NOISE = 100_000  # agent steps of pink noise, which is held in memory; it repeats after them
 
 
 class Exploration:
@@ -33,7 +34,7 @@ class Exploration:
 
     def __init__(self, config: TrainRLConfig, envs: int, action_size: int, rng: np.random.Generator):
         self._config, self._rng, self._shape = config.noise, rng, (envs, action_size)
-        steps = -(-config.episode_steps // config.action_repeat)
+        steps = min(-(-config.episode_steps // config.action_repeat), _LONGEST_NOISE)
         self._noise = Noise(config.noise, envs, action_size, steps, rng)
         held = (config.noise.epsilon_z_steps, rng, config.noise.epsilon_z_kind)
         self._held = EpsilonZGreedy(envs, action_size, *held)

@@ -33,6 +33,14 @@ def test_one_success_may_be_luck_and_two_of_the_last_20_episodes_are_not(between
     assert made.scale(last + 500) == pytest.approx(0.5 if enough else 0.75), "what has begun goes on"
 
 
+@pytest.mark.parametrize("kind", ["gaussian", "pink"])
+def test_episodes_without_an_end_need_no_memory_without_an_end(kind: str) -> None:
+    config = TrainRLConfig(out="x", episode_steps=10**9, action_repeat=1, noise=NoiseConfig(kind=kind))
+    made = Exploration(config, 2, 3, np.random.default_rng(0))
+    assert made._noise._pink.nbytes < 10**7
+    assert np.isfinite(made.around(np.zeros((2, 3), np.float32), 0)).all()
+
+
 def retry_noise(retries: str, env_step: int, again: bool) -> np.ndarray:
     """Standard deviations [50, 2] of the noise in episodes of two environments, the second of which try again."""
     noise = NoiseConfig(kind="gaussian", start=0.3, end=0.0, decay_steps=1000, retries=retries, epsilon_z=0.0)
