@@ -34,6 +34,9 @@ from nerf_rl.rl.environments.wrappers import (
 from nerf_rl.scenes.base import GYM, METAWORLD, Policy, Scene
 from nerf_rl.scenes.make import MJCF_ENDINGS, make_scene, scene_modules
 
+TIMEOUT = 300.0
+"""[s] a worker that is silent for so long has hung"""
+
 
 @dataclass(frozen=True)
 class EnvSpec:
@@ -162,7 +165,13 @@ def _worker_modules(spec: EnvSpec) -> list[str]:
     return [__name__, *scene_modules(spec.scene), *eyes]
 
 
-def reset_some(envs: gymnasium.vector.VectorEnv, which: ndarray, seeds: list[int], overtime: int = 0) -> ndarray:
+def step_all(envs: Any, action: ndarray) -> tuple[ndarray, ndarray, ndarray, ndarray, dict[str, Any]]:
+    """Take an action [E, A] in all environments, as their ``step`` does, which would wait for ever."""
+    envs.step_async(action)
+    return envs.step_wait(timeout=TIMEOUT)
+
+
+def reset_some(envs: Any, which: ndarray, seeds: list[int], overtime: int = 0) -> ndarray:
     """Start new episodes in the environments where ``which`` [E] is true; return all observations [E, O].
 
     Args:
@@ -170,8 +179,8 @@ def reset_some(envs: gymnasium.vector.VectorEnv, which: ndarray, seeds: list[int
         overtime: environment steps for which the episodes go on after their first success, even beyond the time limit.
     """
     mask = np.asarray(which, dtype=np.bool_)
-    seed: Any = list(seeds)  # vector environments take a list, although their base class does not say so
-    observations, _ = envs.reset(seed=seed, options={"reset_mask": mask, OVERTIME: overtime})
+    envs.reset_async(seed=list(seeds), options={"reset_mask": mask, OVERTIME: overtime})
+    observations, _ = envs.reset_wait(timeout=TIMEOUT)
     return observations
 
 

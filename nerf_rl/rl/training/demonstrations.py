@@ -14,13 +14,12 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from nerf_rl.errors import FailureError
-from nerf_rl.rl.environments.make import reset_some
+from nerf_rl.rl.environments.make import TIMEOUT, reset_some, step_all
 from nerf_rl.rl.environments.scripted import SCRIPTED_ACTION
 from nerf_rl.rl.experience.n_step import NStep, Transition
 from nerf_rl.rl.training.learnt_reward import learnt_reward
 
 _TRIES = 10  # for each episode that is wanted
-_TIMEOUT = 300.0  # [s] a worker that is silent for so long has hung
 
 
 class Demonstration(NamedTuple):
@@ -109,12 +108,11 @@ def _act(envs: Any, noise: float, seed: int, episodes: Sequence[int], success_bo
     done: dict[int, Demonstration] = {}
     while len(done) < count:
         envs.call_async(SCRIPTED_ACTION)
-        script = np.stack(envs.call_wait(timeout=_TIMEOUT))
+        script = np.stack(envs.call_wait(timeout=TIMEOUT))
         for env, (_, rng) in enumerate(drawn):
             script[env] += noise * rng.standard_normal(size)
         action = np.clip(script, -1.0, 1.0).astype(np.float32)
-        envs.step_async(action)
-        next_observation, reward, terminated, truncated, info = envs.step_wait(timeout=_TIMEOUT)
+        next_observation, reward, terminated, truncated, info = step_all(envs, action)
         reward = learnt_reward(reward, info, success_bonus)
         ended = terminated | truncated
         for env in [env for env in range(count) if env not in done]:

@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from nerf_rl.errors import DivergedError
 from nerf_rl.metrics import wilson_interval
-from nerf_rl.rl.environments.make import reset_some
+from nerf_rl.rl.environments.make import reset_some, step_all
 from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS
 
 Act = Callable[[ndarray], ndarray]
@@ -79,7 +79,7 @@ def run_episodes(envs: gymnasium.vector.VectorEnv, act: Act, seeds: Sequence[int
             return Episodes(success if told else None, returns, length)
         if restart.any():
             observation = reset_some(envs, restart, slot_seeds)
-        observation, reward, terminated, truncated, info = envs.step(act(observation))
+        observation, reward, terminated, truncated, info = step_all(envs, act(observation))
         restart = terminated | truncated
         told = told or "success" in info
         for env, index in enumerate(episode):

@@ -22,7 +22,7 @@ from nerf_rl.rl.agents.policy import act
 from nerf_rl.rl.agents.policy_file import encoder_digest
 from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
 from nerf_rl.rl.environments.goals import GoalTask
-from nerf_rl.rl.environments.make import reset_some
+from nerf_rl.rl.environments.make import TIMEOUT, reset_some
 from nerf_rl.rl.experience.hindsight import Hindsight
 from nerf_rl.rl.experience.n_step import NStep
 from nerf_rl.rl.experience.noise import linear_schedule
@@ -44,8 +44,6 @@ from nerf_rl.rl.training.evaluation_results import DEMONSTRATIONS
 from nerf_rl.rl.training.exploration import Exploration
 from nerf_rl.rl.training.learnt_reward import learnt_reward
 from nerf_rl.rl.training.zoo_files import ZooFiles
-
-_STEP_TIMEOUT = 300.0  # [s] a worker that is silent for so long has hung
 
 
 class Trainer:
@@ -272,7 +270,7 @@ class Trainer:
         action = self._echoes.act(self._explore(observation), self._success)
         self._envs.step_async(action)  # type: ignore[attr-defined]
         self._learn()
-        stepped = self._envs.step_wait(timeout=_STEP_TIMEOUT)  # type: ignore[attr-defined]
+        stepped = self._envs.step_wait(timeout=TIMEOUT)  # type: ignore[attr-defined]
         next_observation, reward, terminated, truncated, info = stepped
         truncated = truncated | self._curriculum.step(self._success, info["env_steps"])
         learnt = learnt_reward(reward, info, self._config.success_bonus)

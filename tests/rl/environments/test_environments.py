@@ -1,6 +1,9 @@
 """Environments: action repeat, time limits, resets, evaluation."""
 
 import multiprocessing
+import os
+import signal
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -96,6 +99,30 @@ def test_a_vector_step_returns_the_true_last_observation_and_resets_only_who_is_
         assert observation[0, 1] == 4, "the last observation of the episode, not the first of the next"
         assert observation[0, 0] == pytest.approx(start[0, 0] + 4 * 0.1, abs=1e-6)
     finally:
+        envs.close(terminate=True)
+
+
+@pytest.mark.parametrize("where", ["reset", "step"])
+def test_a_worker_that_hangs_is_noticed(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    envs = point_envs(2, steps=4)
+    pid = envs.processes[1].pid
+    release = threading.Timer(20.0, os.kill, (pid, signal.SIGCONT))  # else nothing but the timeout under test ends this
+    release.start()
+
+    def hang(observation: np.ndarray) -> np.ndarray:
+        os.kill(pid, signal.SIGSTOP)
+        return to_zero(observation)
+
+    try:
+        reset_some(envs, np.ones(2, np.bool_), [0, 1])
+        monkeypatch.setattr("nerf_rl.rl.environments.make.TIMEOUT", 1.0)
+        if where == "reset":
+            os.kill(pid, signal.SIGSTOP)
+        with pytest.raises(multiprocessing.TimeoutError, match=f"`{where}_wait` has timed out after 1.0"):
+            run_episodes(envs, hang, [0, 1])
+    finally:
+        release.cancel()
+        os.kill(pid, signal.SIGCONT)
         envs.close(terminate=True)
 
 
