@@ -1,6 +1,7 @@
 """The field as the viewer renders it, against the plain renderer; its surface, latents and probe."""
 
 import copy
+import dataclasses
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from nerf_rl.cameras.geometry import pixel_centres, pixel_directions
 from nerf_rl.datasets.storage.frames import Frame, read_frame
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import SamplingConfig
@@ -21,6 +23,7 @@ from nerf_rl.viewer.field.field_panel import Pace
 from nerf_rl.viewer.field.latents import EncodedDataset, interpolate
 from nerf_rl.viewer.field.progressive import FreeCamera, Picture, render_progressively
 from nerf_rl.viewer.field.reconstruction import errors, render_views
+from nerf_rl.viewer.pages.agent_pictures import decode_views
 from nerf_rl.viewer.pages.encoder_view import probe_table
 
 
@@ -106,6 +109,33 @@ def test_a_camera_has_the_rays_of_its_field_of_view() -> None:
     origin, directions = camera.rays(2, 4)
     assert origin.tolist() == [0.0, 0.0, 0.0]
     assert np.allclose(directions[0], [-1.5, -0.5, 1.0]) and np.allclose(directions[-1], [1.5, 0.5, 1.0])
+
+
+def test_cameras_that_are_not_centred_are_decoded_where_they_looked(encoded: EncodedDataset, frame: Frame) -> None:
+    """Pixels that are not square, and a principal point far from the middle, as a cropped picture has it."""
+    latent, rig = encoded.latent(frame), encoded.encoder.rig
+    K = np.array([[31.0, 0.0, 7.0], [0.0, 24.0, 16.0], [0.0, 0.0, 1.0]])
+    rig = dataclasses.replace(rig, intrinsics=np.stack([K] * len(rig.names)))
+    frame = dataclasses.replace(frame, intrinsics=np.stack([K] * len(frame.intrinsics)))
+    field = with_surfaces(encoded.field, latent)
+    plain = render_images(field, latent, K[None], rig.camera_from_world[:1], 24, 24, SamplingConfig())
+    (first,) = encoded.dataset.views("encoder")[:1]
+    for rendered in (
+        render_views(ConditionedField(field, latent), frame, [first]),
+        decode_views(ConditionedField(field, latent), rig),
+    ):
+        assert rendered is not None and np.abs(rendered[0].rgb - plain.rgb).mean() < 0.03
+        assert np.abs(rendered[0].depth - plain.depth).mean() < 0.1
+
+
+def test_a_picture_of_another_size_has_the_rays_of_the_same_camera() -> None:
+    K, pose = np.array([[31.0, 0.0, 7.0], [0.0, 24.0, 16.0], [0.0, 0.0, 1.0]]), np.eye(4)
+    camera = FreeCamera.of_view(K, pose, height=20, width=30)
+    assert camera.shape(30) == (20, 30) and camera.shape(60) == (40, 60)
+    for factor in (1, 2):
+        directions = camera.rays(20 * factor, 30 * factor)[1]
+        expected = pixel_directions(K, pose, pixel_centres(20 * factor, 30 * factor) / factor)
+        assert np.allclose(directions, expected, atol=1e-6)
 
 
 def test_a_surface_net_of_a_ball_has_its_volume_and_faces_outwards() -> None:

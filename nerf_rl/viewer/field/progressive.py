@@ -14,7 +14,7 @@ from numpy import ndarray
 from torch import Tensor
 from torch.nn import functional as F
 
-from nerf_rl.cameras.geometry import camera_position, pixel_centres, pixel_directions
+from nerf_rl.cameras.geometry import camera_position, intrinsics_from_fovy, pixel_centres, pixel_directions
 from nerf_rl.machine.cores import usable_cores
 from nerf_rl.pretrain.model.conditioned_field import ConditionedField
 from nerf_rl.pretrain.model.ray_rendering import RenderedImages
@@ -39,13 +39,23 @@ _MOST_THREADS = 8
 
 @dataclass(frozen=True)
 class FreeCamera:
-    """A camera for people, in OpenCV's axes."""
+    """A camera whose pictures may have any size, in OpenCV's axes."""
 
     camera_from_world: Float[ndarray, "4 4"]
     fovy: float
     """vertical field of view [rad]"""
     aspect: float
     """width over height"""
+    unit_intrinsics: Float[ndarray, "3 3"] | None = None
+    """K [image widths and heights]; None has square pixels and a centred principal point"""
+
+    @classmethod
+    def of_view(
+        cls, intrinsics: Float[ndarray, "3 3"], camera_from_world: Float[ndarray, "4 4"], height: int, width: int
+    ) -> "FreeCamera":
+        """Return the camera of a picture, whose K [pixels] need not be centred, as those of real cameras are not."""
+        fovy = float(2.0 * np.arctan(height / (2.0 * intrinsics[1, 1])))
+        return cls(camera_from_world, fovy, width / height, intrinsics / np.array([[width], [height], [1.0]]))
 
     def shape(self, longer: int) -> tuple[int, int]:
         """Return height and width [pixels] of an image whose longer side is given."""
@@ -57,9 +67,11 @@ class FreeCamera:
         self, height: int, width: int, device: torch.device | str = "cpu"
     ) -> tuple[Float[Tensor, "3"], Float[Tensor, "R 3"]]:
         """Return the origin, and directions of unit planar depth through the pixels' centres."""
-        focal = 0.5 / np.tan(self.fovy / 2.0)  # in image heights
-        K = np.diag([focal * width / self.aspect, focal * height, 1.0])
-        K[:2, 2] = width / 2.0, height / 2.0
+        K = self.unit_intrinsics
+        if K is None:
+            K = intrinsics_from_fovy(np.rad2deg(self.fovy), 1, 1)
+            K[0, 0] /= self.aspect
+        K = K * np.array([[width], [height], [1.0]])
         directions = pixel_directions(K, self.camera_from_world, pixel_centres(height, width))
         origin = camera_position(self.camera_from_world)
         origin, directions = origin.astype(np.float32), directions.astype(np.float32)

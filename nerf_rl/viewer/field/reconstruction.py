@@ -25,8 +25,7 @@ def render_views(
     height, width = frame.depth.shape[1:]
     rendered = []
     for view in views:
-        focal = frame.intrinsics[view, 1, 1]
-        camera = FreeCamera(frame.camera_from_world[view], float(2 * np.arctan(height / (2 * focal))), width / height)
+        camera = FreeCamera.of_view(frame.intrinsics[view], frame.camera_from_world[view], height, width)
         longer = max(height, width)
         finest = list(render_progressively(field, camera, max(8, longer // 2), [Picture(longer)], stale))
         if len(finest) < 2:

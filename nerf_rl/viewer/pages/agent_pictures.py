@@ -18,7 +18,6 @@ from nerf_rl.viewer.drawing.pictures import caption, magnify, side_by_side, stac
 from nerf_rl.viewer.drawing.slides import Slide
 from nerf_rl.viewer.field.progressive import FreeCamera, Picture, render_progressively
 from nerf_rl.viewer.pages.agent import ActedEpisode, Agent
-from nerf_rl.viewer.panels.scene_panel import field_of_view
 
 _PROGRESS = ("episode_return", "episode_success", "q", "td_error", "critic_loss", "pre_tanh", "noise")
 _SIGNS_OF_DEADLOCK = ("saturated", "dead_units", "action_gradient", "priority_spread", "stuck_for")
@@ -42,8 +41,7 @@ def decode_views(
     """Return what a field renders for each of the encoder's cameras; None if a newer picture is wanted before."""
     rendered, longer = [], max(rig.height, rig.width)
     for i in range(len(rig.names)):
-        fovy = field_of_view(rig.intrinsics[i], rig.height)
-        camera = FreeCamera(rig.camera_from_world[i], fovy, rig.width / rig.height)
+        camera = FreeCamera.of_view(rig.intrinsics[i], rig.camera_from_world[i], rig.height, rig.width)
         images = list(render_progressively(field, camera, max(8, longer // 2), [Picture(longer)], stale))
         if len(images) < 2:
             return None
