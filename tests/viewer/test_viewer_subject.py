@@ -1,5 +1,7 @@
 """What nerf-rl view makes of a path, and of mistakes."""
 
+import json
+import shutil
 import socket
 from pathlib import Path
 
@@ -7,7 +9,10 @@ import pytest
 
 from nerf_rl import cli
 from nerf_rl.errors import MissingFileError, UserError
+from nerf_rl.files.checksummed_json import write_checksummed
 from nerf_rl.viewer.config import ViewConfig
+from nerf_rl.viewer.field.latents import EncodedDataset
+from nerf_rl.viewer.pages.encoder_page import dataset_of_encoder
 from nerf_rl.viewer.server import free_port, where_to_look
 from nerf_rl.viewer.subject import Subject, find_subject
 
@@ -99,3 +104,58 @@ def test_an_encoder_whose_dataset_has_gone_asks_for_one(
         (tmp_path / name).write_bytes((tiny_encoder / name).read_bytes())
     assert cli.main(["view", str(tmp_path)]) == 2
     assert "--data FOLDER" in capsys.readouterr().err
+
+
+def of_another(dataset: Path, folder: Path, **changed: object) -> Path:
+    """Return a copy of a dataset whose manifest says something else."""
+    shutil.copytree(dataset, folder)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    write_checksummed(folder / "manifest.json", manifest | changed)
+    return folder
+
+
+def test_a_dataset_of_another_scene_or_of_other_classes_is_not_shown_through_an_encoder(
+    tiny_dataset: Path, tiny_encoder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    classes = json.loads((tiny_dataset / "manifest.json").read_text())["classes"]
+    door = of_another(tiny_dataset, tmp_path / "door", scene={"name": "metaworld/door-open-v3"})
+    swapped = of_another(tiny_dataset, tmp_path / "swapped", classes=classes[::-1])
+    recorded = tmp_path / "encoder"
+    shutil.copytree(tiny_encoder, recorded, ignore=shutil.ignore_patterns("checkpoints"))
+    (recorded / "config.yaml").write_text(f"data: {door}\n")
+    for words, told in (
+        ([str(tiny_encoder), "--data", str(door)], ("metaworld/door-open-v3", "metaworld/drawer-open-v3")),
+        ([str(tiny_encoder), "--data", str(swapped)], (classes[0]["name"], classes[-1]["name"])),
+        ([str(recorded)], ("metaworld/door-open-v3", "metaworld/drawer-open-v3")),
+    ):
+        assert cli.main(["view", *words, "--png", str(tmp_path / "x.png")]) == 2
+        message = capsys.readouterr().err
+        assert all(name in message for name in told) and "--data FOLDER" in message and message.count("\n") == 1
+        assert not (tmp_path / "x.png").exists()
+
+
+def test_pictures_that_were_imported_are_shown_through_an_encoder_with_their_cameras(
+    tiny_dataset: Path, tiny_encoder: Path, tmp_path: Path
+) -> None:
+    """Their name tells one recording from another; without labels, only the encoder knows classes."""
+    unlabelled = [{"name": "background", "colour": [128, 128, 128]}]
+    imported = of_another(
+        tiny_dataset, tmp_path / "x", scene={"name": "imported/lerobot-1a2b"}, absent=["labels"], classes=unlabelled
+    )
+    dataset, folder = dataset_of_encoder(ViewConfig(str(tiny_encoder), data=str(imported)))
+    known = json.loads((tiny_encoder / "encoder.json").read_text())["palette"]
+    assert EncodedDataset(str(tiny_encoder), folder, dataset).palette.tolist() == known
+
+
+def test_a_scene_of_a_file_is_known_by_its_last_name_wherever_the_file_is(
+    tiny_dataset: Path, tiny_encoder: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(tiny_encoder, tmp_path / "encoder", ignore=shutil.ignore_patterns("checkpoints"))
+    description = json.loads((tmp_path / "encoder" / "encoder.json").read_text())
+    description["scene"]["name"] = "arm.xml"
+    (tmp_path / "encoder" / "encoder.json").write_text(json.dumps(description))
+    arm = of_another(tiny_dataset, tmp_path / "arm", scene={"name": "/scenes/arm.xml"})
+    dataset_of_encoder(ViewConfig(str(tmp_path / "encoder"), data=str(arm)))
+    leg = of_another(tiny_dataset, tmp_path / "leg", scene={"name": "/scenes/leg.xml"})
+    with pytest.raises(UserError, match="is of scene /scenes/leg"):
+        dataset_of_encoder(ViewConfig(str(tmp_path / "encoder"), data=str(leg)))

@@ -94,6 +94,23 @@ def read_description(path: Path | str) -> tuple[Path, dict[str, Any]]:
     return folder, _checked(path, DESCRIPTION, description)
 
 
+def described_classes(folder: Path) -> tuple[list[str], list[list[int]]]:
+    """Return names and colours of the classes that the radiance field beside an encoder tells apart.
+
+    Args:
+        folder: of an exported encoder; a checkpoint in it does not name them.
+
+    Raises:
+        MissingFileError: its description does not name them, or there is none.
+    """
+    _, description = read_description(folder)
+    names, colours = description.get("classes", []), description.get("palette", [])
+    if not names or len(names) != len(colours):
+        reason = f"its {DESCRIPTION} does not name the classes and their colours"
+        raise MissingFileError("an encoder with its radiance field", folder, reason, _REMEDY)
+    return names, colours
+
+
 def is_checkpoint(path: Path | str) -> bool:
     """Tell whether a path is that of a Lightning checkpoint."""
     return Path(path).suffix == ".ckpt" and Path(path).is_file()

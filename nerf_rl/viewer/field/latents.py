@@ -5,16 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from numpy import ndarray
 from torch import Tensor
 
 from nerf_rl.datasets.storage.frames import Frame
 from nerf_rl.datasets.storage.reader import MultiViewDataset
-from nerf_rl.datasets.storage.stored_manifest import DEPTH
+from nerf_rl.datasets.storage.stored_manifest import DEPTH, LABELS
 from nerf_rl.pretrain.measures.linear_probe import encode_frames, linear_probe
 from nerf_rl.pretrain.model.conditioned_field import ConditionedField
 from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.pretrain.model.encoder_file import described_classes
 from nerf_rl.pretrain.model.field import RadianceField
 from nerf_rl.viewer.drawing.pictures import depth_limits
 
@@ -27,6 +28,9 @@ class EncodedDataset:
         folder: its run folder, where the field lies.
         dataset: rendered with the encoder's cameras.
         device: of encoder and field.
+
+    Attributes:
+        palette: colours of the classes that the field tells apart, which a dataset without labels does not know.
     """
 
     def __init__(self, path: str, folder: Path, dataset: MultiViewDataset, device: torch.device | str = "cpu"):
@@ -34,6 +38,8 @@ class EncodedDataset:
         self.encoder = Encoder.load(path).to(device)
         self.field = RadianceField.load(folder).requires_grad_(False).to(device)
         self._views = dataset.views("encoder")
+        known = described_classes(folder)[1] if LABELS in dataset.absent else dataset.palette
+        self.palette: UInt8[ndarray, "C 3"] = np.array(known, np.uint8)
 
     @torch.inference_mode()
     def latent(self, frame: Frame) -> Float[Tensor, "Z"]:

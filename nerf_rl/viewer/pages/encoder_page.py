@@ -1,14 +1,16 @@
 """``nerf-rl view ENCODER``: find its dataset, then serve its page, or save it."""
 
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import yaml
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.stored_manifest import LABELS
 from nerf_rl.errors import MissingFileError, UserError
 from nerf_rl.machine.devices import resolve_device
-from nerf_rl.pretrain.model.encoder_file import read_description
+from nerf_rl.pretrain.model.encoder_file import described_classes, read_description
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
+from nerf_rl.scenes.imported import IMPORTED
 from nerf_rl.viewer.config import ViewConfig
 
 
@@ -16,7 +18,7 @@ def dataset_of_encoder(config: ViewConfig) -> tuple[MultiViewDataset, Path]:
     """Return the dataset to look at through an encoder, and the encoder's run folder.
 
     Raises:
-        UserError: no dataset is named, or it has other cameras; the run holds no field.
+        UserError: no dataset is named, or it has other cameras, classes or another scene; the run holds no field.
     """
     folder, description = read_description(config.path)
     if not (folder / "field.json").is_file():
@@ -30,7 +32,37 @@ def dataset_of_encoder(config: ViewConfig) -> tuple[MultiViewDataset, Path]:
         raise UserError(f"{folder}: {where}; say where one with the same cameras is by --data FOLDER")
     dataset = MultiViewDataset(data)
     EncoderRig.from_json(description["rig"]).require_same(EncoderRig.of_dataset(dataset))
+    _require_same_scene(folder, description["scene"]["name"], dataset)
     return dataset, folder
+
+
+def _require_same_scene(folder: Path, trained: str, dataset: MultiViewDataset) -> None:
+    """Raise UserError unless a dataset shows the encoder's scene, and its labels, if it has any, mean the same."""
+    shown, remedy = dataset.manifest["scene"]["name"], "say where a dataset of its own scene is by --data FOLDER"
+    if not _may_be_the_same(trained, shown):
+        raise UserError(
+            f"the dataset {dataset.folder} is of scene {shown}, and the encoder {folder} was trained on {trained}; "
+            f"{remedy}"
+        )
+    (known, _), labelled = described_classes(folder), list(dataset.class_names)
+    if LABELS not in dataset.absent and labelled != known:
+        raise UserError(
+            f"the dataset {dataset.folder} has the classes {', '.join(labelled)}, and the encoder {folder} was trained "
+            f"on {', '.join(known)}; {remedy} and with its classes"
+        )
+
+
+def _may_be_the_same(trained: str, shown: str) -> bool:
+    """Tell whether two names may be those of one scene.
+
+    The name of imported pictures tells one recording from another, not what they show. That of an MJCF file is a path,
+    which is another one where the file has moved, and of which ``push`` keeps the last part alone.
+    """
+    if trained == shown or trained.startswith(IMPORTED) or shown.startswith(IMPORTED):
+        return True
+    from nerf_rl.scenes.make import MJCF_ENDINGS  # it takes MuJoCo's time to import
+
+    return trained.endswith(MJCF_ENDINGS) and PurePath(trained).name == PurePath(shown).name
 
 
 def serve_encoder(config: ViewConfig, dataset: MultiViewDataset, folder: Path) -> None:
@@ -54,7 +86,6 @@ def serve_encoder(config: ViewConfig, dataset: MultiViewDataset, folder: Path) -
 def save_encoder(config: ViewConfig, dataset: MultiViewDataset, folder: Path) -> None:
     """Write the files asked for: each camera's truth, rendering and error."""
     from nerf_rl.datasets.storage.frames import Frame, read_frame
-    from nerf_rl.datasets.storage.stored_manifest import LABELS
     from nerf_rl.viewer.drawing.charts import statistics_charts
     from nerf_rl.viewer.drawing.slides import chosen_frames, dataset_slides
     from nerf_rl.viewer.drawing.statistics import sample_statistics

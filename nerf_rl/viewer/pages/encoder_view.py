@@ -32,7 +32,7 @@ class EncoderPanel:
         self._depth_range = encoded.depth_limits(read_frame(page.dataset, 0))
         gui = page.server.gui
         with gui.add_folder("Radiance field"):
-            self.field = FieldPanel(page.server, page.dataset.palette, self._depth_range)
+            self.field = FieldPanel(page.server, encoded.palette, self._depth_range)
         with gui.add_folder("Between two frames"):
             ends = gui.add_button_group("This frame is", ("start", "end"))
             self.share = gui.add_slider("From start to end", 0.0, 1.0, 0.02, 0.0)
