@@ -57,6 +57,18 @@ def require_outside(folder: Path, *sources: str | Path) -> None:
             raise UserError(f"{source} lies in the output folder {folder}; use another --out")
 
 
+def require_place(path: Path) -> Path:
+    """Check, without touching it, that a path can be written to; return the nearest folder that there is, or itself.
+
+    Raises:
+        UserError: something that should be a folder above it is a file.
+    """
+    there = next(above for above in (path.absolute(), *path.absolute().parents) if above.exists())
+    if not there.is_dir() and there != path.absolute():
+        raise UserError(f"{path} cannot be written, since {there} is a file and no folder; choose another name")
+    return there
+
+
 def prepare_output(
     folder: Path, overwrite: bool, resume: bool = False, can_resume: bool = False, command: str = ""
 ) -> None:

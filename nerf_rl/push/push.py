@@ -7,6 +7,7 @@ from pathlib import Path
 
 from nerf_rl.errors import MissingFileError, OutputExistsError, UserError
 from nerf_rl.files.atomic import write_text
+from nerf_rl.files.outputs import require_place
 from nerf_rl.hub.commit import commit_folder
 from nerf_rl.machine.extras import import_extra
 from nerf_rl.pretrain.model.encoder_file import DESCRIPTION
@@ -77,7 +78,10 @@ def _naming(config: PushConfig, pictured: bool) -> Naming:
 
 @contextlib.contextmanager
 def _folder(out: str) -> Iterator[Path]:
-    """Give an empty folder to write to, which is removed afterwards if it is not to stay."""
+    """Give an empty folder to write to; what it holds goes where it is to stay, if anywhere, once it is whole.
+
+    Much is found out while it is written: a refusal, or an interruption, leaves nothing that the next try meets.
+    """
     if not out:
         with tempfile.TemporaryDirectory() as temporary:
             yield Path(temporary)
@@ -85,5 +89,8 @@ def _folder(out: str) -> Iterator[Path]:
     folder = Path(out)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise OutputExistsError(folder, "use another --out, or delete it")
-    folder.mkdir(parents=True, exist_ok=True)
-    yield folder
+    with tempfile.TemporaryDirectory(prefix=".partial-", dir=require_place(folder)) as beside:
+        yield Path(beside)
+        folder.mkdir(parents=True, exist_ok=True)
+        for path in Path(beside).iterdir():
+            path.rename(folder / path.name)

@@ -125,6 +125,7 @@ def test_the_card_of_an_agent_has_its_rate_its_interval_and_the_control_beside(
     )
     assert push(tiny_agent, "--out", str(tmp_path / "c"), "--controls", f"[{blind}]") == 2
     assert "its scene, encoder or episodes are others" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["blind", "folder"]  # so that the next try finds it free
 
 
 def test_training_on_an_encoder_of_the_hub_keeps_to_the_commit_it_began_with(
@@ -219,6 +220,7 @@ def test_the_hub_is_told_when_it_refuses(
         ("encoder", ["--to", "name"], "'name' is no address on the Hugging Face Hub"),
         ("encoder", ["--out", "free", "--licence", "MIT or so"], "--licence is a name such as mit"),
         ("encoder", ["--out", "used"], "output folder used already exists"),
+        ("encoder", ["--out", "used/file/new"], "used/file is a file and no folder"),
         ("encoder", ["--out", "free", "--controls", "[x]"], "an encoder has none"),
         ("encoder/checkpoints", ["--out", "free"], "is not an encoder or an agent: it holds no encoder.json"),
         ("nowhere", ["--out", "free"], "is not an encoder or an agent"),
@@ -241,6 +243,23 @@ def test_what_cannot_be_pushed_is_told_before_anything_is_written(
     told = capsys.readouterr().err
     assert message in told and told.count("\n") == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["used"]
+
+
+def test_a_folder_that_is_there_and_empty_is_filled(tiny_encoder: Path, tmp_path: Path):
+    out = tmp_path / "out"
+    out.mkdir()
+    run = tmp_path / "run"
+    run.mkdir()
+    for name in ("encoder.json", "encoder.safetensors", "summary.json"):
+        shutil.copyfile(tiny_encoder / name, run / name)
+    summary = (run / "summary.json").read_bytes()
+    (run / "summary.json").write_bytes(b"{")
+    assert push(run, "--out", str(out)) == 2
+    assert not any(out.iterdir())
+    (run / "summary.json").write_bytes(summary)
+    assert push(run, "--out", str(out)) == 0
+    names = {"README.md", "encoder.json", "encoder.safetensors", "summary.json"}
+    assert {path.name for path in out.iterdir()} == names
 
 
 def test_a_large_picture_is_made_smaller(tmp_path: Path):
