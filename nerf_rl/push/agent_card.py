@@ -11,13 +11,9 @@ from nerf_rl.hub.fetch import ENCODER_IN_AGENT
 from nerf_rl.push.card import UNKNOWN, Naming, code, front_matter, installing, joined, last_sections, picture, table
 from nerf_rl.push.encoder_card import describe_cameras
 from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION
-from nerf_rl.rl.config import BLIND, NO_CONTROL, RANDOM
+from nerf_rl.rl.config import EYES_OF_CONTROLS, NO_CONTROL
 from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS, read_evaluations, with_demonstrations
 
-_EYES = {
-    BLIND: "the same agent, trained with latents of zero",
-    RANDOM: "the same agent, trained with an encoder that nobody trained",
-}
 _TAGS = ("reinforcement-learning", "deep-reinforcement-learning")
 _UNCONTROLLED = "No control stands beside it, so nothing here tells what the same agent would reach without seeing."
 
@@ -49,8 +45,9 @@ def read_control(run: Path, description: Mapping[str, Any]) -> Control:
     except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
         remedy = "train one with nerf-rl train-rl --control blind"
         raise MissingFileError("a finished control", run, f"its files do not say so ({error})", remedy) from error
-    if kind not in _EYES:
-        raise UserError(f"{run} is an agent with --control {kind}; --controls takes one of {', '.join(_EYES)}")
+    if kind not in EYES_OF_CONTROLS:
+        known = ", ".join(EYES_OF_CONTROLS)
+        raise UserError(f"{run} is an agent with --control {kind}; --controls takes one of {known}")
     if not same:
         raise UserError(f"{run} is no control of this agent: its scene, encoder or episodes are others")
     return Control(kind, last)
@@ -129,8 +126,8 @@ def _figures(evaluations: Sequence[Mapping[str, Any]], control: str, controls: S
     """Return the last evaluation beside those of the controls, and all others."""
     if not evaluations:
         return ["Its run has no evaluation."]
-    own = "this agent" if control == NO_CONTROL else f"this agent, itself a control: {_EYES[control]}"
-    rows = [[own, *_row(evaluations[-1])], *([_EYES[c.kind], *_row(c.last)] for c in controls)]
+    own = "this agent" if control == NO_CONTROL else f"this agent, itself a control: {EYES_OF_CONTROLS[control]}"
+    rows = [[own, *_row(evaluations[-1])], *([EYES_OF_CONTROLS[c.kind], *_row(c.last)] for c in controls)]
     heads = ["", "environment steps", "episodes", "success rate, 95 % interval", "mean return"]
     told = "the policy acts without noise, on episodes whose seeds training never used, and the interval is Wilson's"
     parts = [f"Evaluations of the run itself: {told}.", table(heads, rows)]

@@ -19,6 +19,7 @@ from nerf_rl.pretrain.measures.figures import NETWORK, describe_error, describe_
 from nerf_rl.pretrain.model.encoder_file import read_description
 from nerf_rl.report.config import ReportConfig
 from nerf_rl.report.sources import FIELD, Sources, find_sources
+from nerf_rl.rl.config import EYES_OF_CONTROLS, NO_CONTROL
 from nerf_rl.rl.training.evaluation_results import (
     HIGH,
     LOW,
@@ -49,8 +50,11 @@ def write_report(config: ReportConfig) -> None:
     wait_passively()
     summaries = {name: _summary(folder) for name, folder in sources.folders.items()}
 
-    page = Page(f"{sources.scene}: {', '.join(_TITLES[name] for name in summaries)}")
+    marked = "" if sources.control == NO_CONTROL else f" (control: {sources.control})"
+    page = Page(f"{sources.scene}: {', '.join(_TITLES[name] for name in summaries)}{marked}")
     lines = _key_figures(summaries)
+    if sources.control != NO_CONTROL:
+        lines.append(f"control  {sources.control}: {EYES_OF_CONTROLS[sources.control]}")
     page.preformatted("\n".join(lines))
     if sources.dataset is not None:
         _add_dataset(page, sources.dataset)
@@ -141,6 +145,8 @@ def _add_agent(page: Page, config: ReportConfig, sources: Sources, summary: dict
 
     page.heading("Policy")
     draw, shown = _drawing(sources)
+    if sources.control != NO_CONTROL:
+        shown = f"The policy is a control, {EYES_OF_CONTROLS[sources.control]}. {shown}"
     clips, outcomes = [], []
     for i in range(config.episodes):
         episode = rollout(config.agent, config.seed + i, config.encoder)

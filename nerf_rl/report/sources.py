@@ -10,6 +10,7 @@ from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.pretrain.model.encoder_file import read_description
 from nerf_rl.report.config import ReportConfig
 from nerf_rl.rl.agents.policy_file import check_policy
+from nerf_rl.rl.config import NO_CONTROL
 
 FIELD = "field.json"
 
@@ -25,6 +26,8 @@ class Sources:
     dataset: MultiViewDataset | None
     agents_encoder: str | None
     """what the agent observes through; None if it observes the true state"""
+    control: str
+    """blind or random if the agent is a control, which sees nothing or nothing of use; else none"""
 
 
 def find_sources(config: ReportConfig) -> Sources:
@@ -48,7 +51,8 @@ def find_sources(config: ReportConfig) -> Sources:
     if dataset is not None:
         _require_scene("dataset", dataset.folder, dataset.manifest["scene"]["name"], env["scene"])
         folders = {"data": Path(dataset.folder), **folders}
-    return Sources(env["scene"], folders | {"agent": Path(config.agent)}, dataset, env["encoder"])
+    folders["agent"] = Path(config.agent)
+    return Sources(env["scene"], folders, dataset, env["encoder"], env.get("control", NO_CONTROL))
 
 
 def _dataset_of(description: dict[str, Any]) -> MultiViewDataset | None:

@@ -33,6 +33,11 @@ NO_CONTROL: Final = "none"
 BLIND: Final = "blind"
 RANDOM: Final = "random"
 Control = Literal["none", "blind", "random"]
+EYES_OF_CONTROLS = {
+    BLIND: "the same agent, trained with latents of zero",
+    RANDOM: "the same agent, trained with an encoder that nobody trained",
+}
+"""what has to stand beside the figures and the pictures of a control"""
 
 LATEST_EPISODES = 20
 """of training, among which exploration waits for successes"""

@@ -135,3 +135,21 @@ def test_a_dataset_of_another_scene_is_refused_in_a_sentence(
     assert cli.main(["report", "--agent", str(tiny_agent), "--data", str(other), "--out", str(page)]) == 2
     message = capsys.readouterr().err
     assert "metaworld/door-open-v3" in message and message.count("\n") == 1 and not page.exists()
+
+
+@pytest.mark.parametrize("kind, words", [("blind", "latents of zero"), ("random", "an encoder that nobody trained")])
+def test_a_control_is_called_one_wherever_its_figures_and_pictures_are(
+    kind: str, words: str, tiny_agent: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, page, view = tmp_path / "agent", tmp_path / "page.html", tmp_path / "view.html"
+    shutil.copytree(tiny_agent, run, ignore=shutil.ignore_patterns("checkpoints", "logs"))
+    policy = json.loads((run / "policy.json").read_text())
+    policy["env"]["control"] = kind
+    (run / "policy.json").write_text(json.dumps(policy))
+    assert cli.main(["report", "--agent", str(run), "--out", str(page), "--episodes", "1"]) == 0
+    assert f"control  {kind}: the same agent, trained with {words}" in capsys.readouterr().out
+    (title,) = re.findall("<h1>(.*?)</h1>", page.read_text())
+    (caption,) = re.findall("controls autoplay.*?<figcaption>(.*?)</figcaption>", page.read_text())
+    assert title.endswith(f"(control: {kind})") and f"is a control, the same agent, trained with {words}" in caption
+    assert cli.main(["view", str(run), "--save", str(view), "--episodes", "1"]) == 0
+    assert f"agent (control: {kind})</h1>" in view.read_text() and words in view.read_text()

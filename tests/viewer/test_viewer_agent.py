@@ -1,5 +1,6 @@
 """An agent as the viewer shows it."""
 
+import dataclasses
 import shutil
 from pathlib import Path
 
@@ -54,6 +55,14 @@ def test_learning_curves_and_slides_are_not_blank(agent: Agent) -> None:
     slide = episode_slide(agent, agent.act(0), 1)
     assert slide.picture.std() > 10 and "seed" in slide.caption
     assert learning_charts([], {}) == []
+
+
+def test_the_slides_of_a_control_say_what_it_is(agent: Agent, monkeypatch: pytest.MonkeyPatch) -> None:
+    seeing = episode_slide(agent, agent.act(0), 1)
+    monkeypatch.setattr(agent.policy, "spec", dataclasses.replace(agent.policy.spec, control="blind"))
+    slide = episode_slide(agent, agent.act(0), 1)
+    assert slide.caption == f"{seeing.caption}, control: the same agent, trained with latents of zero"
+    assert slide.picture.shape[0] > seeing.picture.shape[0] and slide.picture[-12:].std() > 10  # a line more
 
 
 def test_a_baselines_metrics_have_no_signs_of_deadlock_to_draw() -> None:

@@ -18,6 +18,7 @@ from nerf_rl.pretrain.model.encoder_file import read_description
 from nerf_rl.pretrain.model.field import RadianceField
 from nerf_rl.pretrain.model.ray_rendering import RenderedImages
 from nerf_rl.rl.agents.policy import Policy
+from nerf_rl.rl.config import NO_CONTROL
 from nerf_rl.rl.rollout import Rollout, rollout
 from nerf_rl.rl.training.episodes import evaluation_seeds
 from nerf_rl.rl.training.evaluation_results import read_evaluations
@@ -74,6 +75,12 @@ class Agent:
                 self.class_names = description["classes"]
         self._depth_range: tuple[float, float] | None = None
         self._acted: dict[int, ActedEpisode] = {}
+
+    @property
+    def title(self) -> str:
+        """What pages call it: its scene, and the kind of control if it is one."""
+        spec = self.policy.spec
+        return f"{spec.scene}: agent" + ("" if spec.control == NO_CONTROL else f" (control: {spec.control})")
 
     def act(self, number: int) -> ActedEpisode:
         """Return an episode by its number; it is acted when it is first asked for."""

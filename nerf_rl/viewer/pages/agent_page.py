@@ -18,7 +18,7 @@ def serve_agent(config: ViewConfig) -> None:
     from nerf_rl.viewer.server import serve, wait_for_interrupt, where_to_look
 
     agent = _agent(config)
-    with serve(config.host, config.port, f"{agent.policy.spec.scene}: agent") as server:
+    with serve(config.host, config.port, agent.title) as server:
         page = AgentView(server, agent)
         print(where_to_look(config.host, server.get_port()), flush=True)
         wait_for_interrupt()
@@ -36,7 +36,7 @@ def save_agent(config: ViewConfig) -> None:
         legend = agent.class_names, agent.palette
     save(
         config.files,
-        f"{agent.policy.spec.scene}: agent",
+        agent.title,
         _slides(agent, config.episodes),
         legend,
         lambda: learning_charts(agent.evaluations(), agent.metrics()),

@@ -11,6 +11,7 @@ from nerf_rl.pictures.images import colour_depth, colour_labels
 from nerf_rl.pretrain.model.conditioned_field import ConditionedField
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 from nerf_rl.pretrain.model.ray_rendering import RenderedImages
+from nerf_rl.rl.config import EYES_OF_CONTROLS, NO_CONTROL
 from nerf_rl.rl.training.curves import draw_returns, draw_success
 from nerf_rl.rl.training.evaluation_results import tells_success
 from nerf_rl.viewer.drawing.charts import lines_chart, rasterise
@@ -88,7 +89,11 @@ def episode_slide(agent: Agent, episode: ActedEpisode, step: int) -> Slide:
     height = max(part.shape[0] for part in parts)
     padded = [np.pad(p, ((0, height - p.shape[0]), (0, 8), (0, 0)), constant_values=255) for p in parts]
     picture = np.concatenate(padded, axis=1)
-    return Slide(stack([picture, caption(_numbers(episode, step), picture.shape[1])]), f"seed {episode.seed}")
+    lines, control = [_numbers(episode, step)], agent.policy.spec.control
+    if control != NO_CONTROL:
+        lines.append(f"control: {EYES_OF_CONTROLS[control]}")
+    captions = [caption(line, picture.shape[1]) for line in lines]
+    return Slide(stack([picture, *captions]), f"seed {episode.seed}{'' if len(lines) == 1 else f', {lines[-1]}'}")
 
 
 def _numbers(episode: ActedEpisode, step: int) -> str:

@@ -8,6 +8,7 @@ import viser.uplot
 
 from nerf_rl.cameras.geometry import camera_position
 from nerf_rl.datasets.storage.frames import EpisodeColumns
+from nerf_rl.rl.config import EYES_OF_CONTROLS, NO_CONTROL
 from nerf_rl.viewer.field.field_panel import FieldPanel
 from nerf_rl.viewer.newest import NewestOnly
 from nerf_rl.viewer.node_names import node_name
@@ -37,6 +38,8 @@ class AgentView:
         self.step = gui.add_slider("Step", 0, 1, 1, 0)
         self._playback = Playback(gui, self._advance, self._worker.wait)
         self.status = gui.add_markdown("acting the episode ...")
+        if agent.policy.spec.control != NO_CONTROL:
+            gui.add_markdown(f"A control: {EYES_OF_CONTROLS[agent.policy.spec.control]}.")
         self.field: FieldPanel | None = None
         if agent.field is not None:
             bounds = agent.field.bounds
