@@ -5,11 +5,14 @@ from pathlib import Path
 
 from nerf_rl.datasets.storage.shards import UNFINISHED
 from nerf_rl.errors import MissingFileError
+from nerf_rl.files.json_files import read_json
+from nerf_rl.files.outputs import PROVENANCE, SUMMARY
 from nerf_rl.pretrain.model.encoder_file import DESCRIPTION
 from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION
 
 _MARKS = {"dataset": "manifest.json", "encoder": DESCRIPTION, "agent": POLICY_DESCRIPTION}
-_UNFINISHED = {"plan.json": "an unfinished dataset", "provenance.json": "an unfinished run"}
+_PLAN = "plan.json"
+_RESUMED = ("gen-dataset", "import", "merge", "pretrain", "train-rl", "tune")
 
 
 class Subject(Enum):
@@ -34,10 +37,24 @@ def find_subject(path: Path) -> Subject:
         return Subject.DATASET
     if path.suffix == ".ckpt" and path.is_file() and (folder.parent / DESCRIPTION).is_file():
         return Subject.ENCODER
-    if not path.exists():
-        reason = "it does not exist"
-    else:
-        begun = [what for mark, what in _UNFINISHED.items() if (folder / mark).is_file()]
-        reason = f"it is {begun[0]} (finish it with --resume true)" if begun else "its files are others"
+    reason = _told_by_other_files(folder) if path.exists() else "it does not exist"
     expected = ", ".join(f"{mark} of {'an' if kind[0] in 'ae' else 'a'} {kind}" for kind, mark in _MARKS.items())
     raise MissingFileError("something to view", path, reason, f"expected a folder with one of: {expected}")
+
+
+def _told_by_other_files(folder: Path) -> str:
+    """Return what a folder is in which there is nothing to view."""
+    if (folder / _PLAN).is_file():
+        return "it is an unfinished dataset (finish it with --resume true)"
+    if not (folder / PROVENANCE).is_file():
+        return "its files are others"
+    seeds = sorted(folder.glob(f"seed-*/{POLICY_DESCRIPTION}"))
+    if seeds:
+        return f"it holds runs of several seeds; give the folder of one, such as {seeds[0].parent}"
+    try:
+        command = read_json(folder / PROVENANCE)["command"]
+    except (OSError, ValueError, LookupError, TypeError):
+        return f"its {PROVENANCE} is damaged"
+    if (folder / SUMMARY).is_file():
+        return f"it is a finished run of {command}"
+    return f"it is an unfinished run of {command}" + " (finish it with --resume true)" * (command in _RESUMED)

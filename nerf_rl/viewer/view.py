@@ -26,6 +26,8 @@ def view(config: ViewConfig) -> None:
     subject = find_subject(folder)
     if subject is Subject.AGENT:
         folder = find_run(config.path)  # which refuses what somebody else's agent must not do
+    if subject is not Subject.ENCODER and folder.is_file():  # of an encoder, a file may be the one to look at
+        folder = folder.parent
     config = dataclasses.replace(config, path=str(folder))
     check_device(config.device)
     for path in config.files.values():

@@ -42,6 +42,40 @@ def test_a_missing_and_an_unfinished_folder_are_told_apart(tmp_path: Path) -> No
         find_subject(tmp_path)
 
 
+@pytest.mark.parametrize(
+    "command, files, told",
+    [
+        ("pretrain", [], "it is an unfinished run of pretrain (finish it with --resume true)"),
+        ("evaluate", [], "it is an unfinished run of evaluate; expected"),
+        ("evaluate", ["summary.json"], "it is a finished run of evaluate; expected"),
+        ("tune", ["summary.json"], "it is a finished run of tune; expected"),
+        ("train-rl", ["summary.json", "seed-3/policy.json", "seed-7/policy.json"], "give the folder of one, such as "),
+    ],
+)
+def test_a_run_with_nothing_to_view_is_told_by_its_command(
+    command: str, files: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "provenance.json").write_text(json.dumps({"command": command}))
+    for file in map(tmp_path.joinpath, files):
+        file.parent.mkdir(exist_ok=True)
+        file.write_text("{}")
+    assert cli.main(["view", str(tmp_path)]) == 2
+    message = capsys.readouterr().err
+    assert told in message and message.count("\n") == 1
+    assert ("seed-" in message) == ("seed-3/policy.json" in files)
+    (tmp_path / "provenance.json").write_text("[]")
+    assert cli.main(["view", str(tmp_path)]) == 2
+
+
+@pytest.mark.parametrize("kind, file", [("agent", "policy.json"), ("dataset", "manifest.json")])
+def test_a_file_of_a_run_stands_for_it(
+    kind: str, file: str, tiny_agent: Path, tiny_dataset: Path, tmp_path: Path
+) -> None:
+    path, picture = {"agent": tiny_agent, "dataset": tiny_dataset}[kind] / file, tmp_path / "x.png"
+    assert cli.main(["view", str(path), "--png", str(picture), "--frames", "1", "--episodes", "1"]) == 0
+    assert picture.stat().st_size > 0
+
+
 @pytest.mark.parametrize("name", ["manifest.json", "encoder.json", "policy.json"])
 def test_a_broken_folder_gets_one_sentence(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / name).write_text("{")
