@@ -57,13 +57,15 @@ def free_port(host: str, port: int) -> int:
 
 def where_to_look(host: str, port: int) -> str:
     """Return what to open in a browser, also from another machine."""
-    lines = [f"open http://localhost:{port}"]
-    if host in ("127.0.0.1", "localhost", "::1"):
+    local = host in ("127.0.0.1", "localhost", "::1")
+    name = "localhost" if local or host in ("", "0.0.0.0", "::") else host  # on one address alone, localhost is deaf
+    lines = [f"open http://{f'[{name}]' if ':' in name else name}:{port}"]
+    if local:
         if "SSH_CONNECTION" in os.environ:
             there = f"{getpass.getuser()}@{socket.gethostname()}"
             lines.append(f"from your own machine, forward it first: ssh -L {port}:localhost:{port} {there}")
     else:
-        lines.append(f"serving on {host}: whoever reaches this machine can look at it")
+        lines.append(f"serving on {host or 'every address'}: whoever reaches this machine can look at it")
     lines.append("Ctrl-C ends it")
     return "\n".join(lines)
 

@@ -123,6 +123,19 @@ def test_over_ssh_the_forwarding_command_is_printed(monkeypatch: pytest.MonkeyPa
     assert "whoever reaches this machine" in where_to_look("0.0.0.0", 4321)
 
 
+@pytest.mark.parametrize(
+    "host, address",
+    [
+        ("192.168.1.5", "http://192.168.1.5:4321"),
+        ("fd00::5", "http://[fd00::5]:4321"),
+        ("workstation", "http://workstation:4321"),
+        *((host, "http://localhost:4321") for host in ("127.0.0.1", "::1", "localhost", "0.0.0.0", "::", "")),
+    ],
+)
+def test_the_address_to_open_is_one_that_is_listened_on(host: str, address: str) -> None:
+    assert where_to_look(host, 4321).splitlines()[0] == f"open {address}"
+
+
 def test_an_existing_file_is_not_overwritten_unasked(
     tiny_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
