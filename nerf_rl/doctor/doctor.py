@@ -16,7 +16,7 @@ from nerf_rl.doctor.optional_packages import extras
 from nerf_rl.doctor.trial import trial
 from nerf_rl.errors import FailureError
 from nerf_rl.files.json_files import write_json
-from nerf_rl.files.outputs import plain
+from nerf_rl.files.outputs import plain, require_file_place
 from nerf_rl.files.versions import package_versions
 from nerf_rl.machine.cores import usable_cores
 
@@ -35,8 +35,12 @@ def doctor(config: DoctorConfig) -> None:
     """Print what was found, each with its fix, and write it as JSON if asked to.
 
     Raises:
+        UserError: the JSON cannot be written where it is to be.
         FailureError: something that is needed does not work.
     """
+    if config.json:  # known before the probes, which take minutes
+        require_file_place(Path(config.json))
+        Path(config.json).parent.mkdir(parents=True, exist_ok=True)
     print(f"nerf-rl {__version__}, Python {sys.version.split()[0]}, {sys.executable}")
     findings = [machine(), shared_memory(Path("/dev/shm")), disk(Path(config.folder)), *probed(config.timeout)]
     width = max(len(finding.name) for finding in findings)

@@ -69,6 +69,17 @@ def require_place(path: Path) -> Path:
     return there
 
 
+def require_file_place(path: Path) -> None:
+    """Check, without touching it, that a file can be written or replaced.
+
+    Raises:
+        UserError: a folder has its name, or something that should be a folder above it is a file.
+    """
+    require_place(path)
+    if path.is_dir():
+        raise UserError(f"{path} cannot be written, since it is a folder and no file; choose another name")
+
+
 def prepare_output(
     folder: Path, overwrite: bool, resume: bool = False, can_resume: bool = False, command: str = ""
 ) -> None:

@@ -12,7 +12,7 @@ from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import MissingFileError, OutputExistsError
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json
-from nerf_rl.files.outputs import PROVENANCE, SUMMARY
+from nerf_rl.files.outputs import PROVENANCE, SUMMARY, require_file_place
 from nerf_rl.machine.threads import wait_passively
 from nerf_rl.pictures.page import Page
 from nerf_rl.pretrain.measures.figures import NETWORK, describe_error, describe_iou, describe_validation
@@ -46,6 +46,7 @@ def write_report(config: ReportConfig) -> None:
     out = Path(config.out)
     if out.exists() and not config.overwrite:
         raise OutputExistsError(out, "use --overwrite true or another --out")
+    require_file_place(out)
     sources = find_sources(config)
     wait_passively()
     summaries = {name: _summary(folder) for name, folder in sources.folders.items()}

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import OutputExistsError
+from nerf_rl.files.outputs import require_file_place
 from nerf_rl.hub.fetch import resolve
 from nerf_rl.machine.devices import check_device
 from nerf_rl.machine.threads import wait_passively
@@ -33,6 +34,7 @@ def view(config: ViewConfig) -> None:
     for path in config.files.values():
         if path.exists() and not config.overwrite:
             raise OutputExistsError(path, "use --overwrite true or another name")
+        require_file_place(path)
     if subject is Subject.DATASET:
         (save_dataset if config.files else serve_dataset)(config, _open(config.path))
     elif subject is Subject.ENCODER:

@@ -90,6 +90,23 @@ def test_what_is_needed_and_broken_fails_the_command(
     assert "what is needed does not work:" in output.err and "torch" in output.err
 
 
+def test_findings_are_written_to_a_folder_that_is_made_and_a_place_that_cannot_be_is_told_before_the_probes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(doctor, "probed", lambda timeout: [])
+    monkeypatch.setattr(doctor, "_LEAST_DISK", 0.0)
+    monkeypatch.setattr(doctor, "_LEAST_SHARED", 0.0)
+    assert cli.main(["doctor", "--json", str(tmp_path / "new" / "x.json")]) == 0
+    assert json.loads((tmp_path / "new" / "x.json").read_text())["ok"]
+    capsys.readouterr()
+    (tmp_path / "file").touch()
+    (tmp_path / "folder.json").mkdir()
+    for place, told in (("file/x.json", "file is a file and no folder"), ("folder.json", "it is a folder and no file")):
+        assert cli.main(["doctor", "--json", str(tmp_path / place)]) == 2
+        output = capsys.readouterr()
+        assert told in output.err and output.err.count("\n") == 1 and output.out == ""
+
+
 def test_little_memory_or_space_is_told_with_a_fix(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     for free, status in ((1e6, "broken"), (0.2e9, "note"), (0.8e9, "ok")):
         monkeypatch.setattr(doctor.shutil, "disk_usage", lambda _, free=free: type("Usage", (), {"free": free}))

@@ -153,3 +153,13 @@ def test_a_control_is_called_one_wherever_its_figures_and_pictures_are(
     assert title.endswith(f"(control: {kind})") and f"is a control, the same agent, trained with {words}" in caption
     assert cli.main(["view", str(run), "--save", str(view), "--episodes", "1"]) == 0
     assert f"agent (control: {kind})</h1>" in view.read_text() and words in view.read_text()
+
+
+def test_a_place_that_no_page_can_have_is_told_before_anything_is_drawn(
+    tiny_agent: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nerf_rl.report.report.find_sources", lambda config: pytest.fail("something was read"))
+    (tmp_path / "file").touch()
+    assert cli.main(["report", "--agent", str(tiny_agent), "--out", str(tmp_path / "file" / "x.html")]) == 2
+    message = capsys.readouterr().err
+    assert "file is a file and no folder" in message and message.count("\n") == 1

@@ -144,6 +144,18 @@ def test_an_existing_file_is_not_overwritten_unasked(
     assert "--overwrite true" in capsys.readouterr().err and (tmp_path / "x.png").read_text() == "mine"
 
 
+def test_a_place_that_no_picture_can_have_is_told_before_anything_is_drawn(
+    tiny_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nerf_rl.viewer.view.save_dataset", lambda *given: pytest.fail("something was drawn"))
+    (tmp_path / "file").touch()
+    (tmp_path / "folder.png").mkdir()
+    for place, told in (("file/x.png", "file is a file and no folder"), ("folder.png", "it is a folder and no file")):
+        assert cli.main(["view", str(tiny_dataset), "--overwrite", "true", "--png", str(tmp_path / place)]) == 2
+        message = capsys.readouterr().err
+        assert told in message and message.count("\n") == 1
+
+
 def test_an_encoder_whose_dataset_has_gone_asks_for_one(
     tiny_encoder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
