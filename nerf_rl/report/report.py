@@ -9,16 +9,17 @@ import numpy as np
 from numpy import ndarray
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
-from nerf_rl.errors import MissingFileError, OutputExistsError
+from nerf_rl.errors import OutputExistsError
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json
-from nerf_rl.files.outputs import PROVENANCE, SUMMARY, require_file_place
+from nerf_rl.files.outputs import PROVENANCE, require_file_place
 from nerf_rl.machine.threads import wait_passively
 from nerf_rl.pictures.page import Page
 from nerf_rl.pretrain.measures.figures import NETWORK, describe_error, describe_iou, describe_validation
-from nerf_rl.pretrain.model.encoder_file import read_description
+from nerf_rl.pretrain.model.encoder_file import described_classes, read_description
 from nerf_rl.report.config import ReportConfig
 from nerf_rl.report.sources import FIELD, Sources, find_sources
+from nerf_rl.report.summaries import read_summary
 from nerf_rl.rl.config import EYES_OF_CONTROLS, NO_CONTROL
 from nerf_rl.rl.training.evaluation_results import (
     HIGH,
@@ -48,10 +49,11 @@ def write_report(config: ReportConfig) -> None:
         raise OutputExistsError(out, "use --overwrite true or another --out")
     require_file_place(out)
     sources = find_sources(config)
+    summaries = {name: read_summary(name, folder) for name, folder in sources.folders.items()}
     wait_passively()
-    summaries = {name: _summary(folder) for name, folder in sources.folders.items()}
 
     marked = "" if sources.control == NO_CONTROL else f" (control: {sources.control})"
+    drawing = _drawing(sources)
     page = Page(f"{sources.scene}: {', '.join(_TITLES[name] for name in summaries)}{marked}")
     lines = _key_figures(summaries)
     if sources.control != NO_CONTROL:
@@ -61,20 +63,13 @@ def write_report(config: ReportConfig) -> None:
         _add_dataset(page, sources.dataset)
     if "encoder" in summaries:
         _add_encoder(page, sources.folders["encoder"], summaries["encoder"])
-    _add_agent(page, config, sources, summaries["agent"])
+    _add_agent(page, config, sources, summaries["agent"], *drawing)
     page.heading("How it was made")
     for folder in sources.folders.values():
         page.preformatted(_made(folder))
     out.parent.mkdir(parents=True, exist_ok=True)
     write_text(out, page.render())
     print("\n".join([*lines, f"report: {out}"]))
-
-
-def _summary(folder: Path) -> dict[str, Any]:
-    path = folder / SUMMARY
-    if not path.is_file():
-        raise MissingFileError("a finished run", folder, f"it holds no {SUMMARY}", "finish it with --resume true")
-    return read_json(path)
 
 
 def _key_figures(summaries: dict[str, dict[str, Any]]) -> list[str]:
@@ -130,7 +125,7 @@ def _add_encoder(page: Page, folder: Path, summary: dict[str, Any]) -> None:
     rows = []
     for kind in ("probe", "joint_probe"):
         for name, figure in summary.get(kind, {}).items():
-            untrained = summary[f"{kind}_random_encoder"][name]
+            untrained = summary.get(f"{kind}_random_encoder", {}).get(name, {})
             errors = [describe_error(each, probe) for each in (figure, untrained) for probe in ("", NETWORK)]
             rows.append([name, f"{figure['r2']:.3f}", *errors])
     encoders = [
@@ -139,13 +134,19 @@ def _add_encoder(page: Page, folder: Path, summary: dict[str, Any]) -> None:
     page.table(["state", "R2, linear", *encoders], rows)
 
 
-def _add_agent(page: Page, config: ReportConfig, sources: Sources, summary: dict[str, Any]) -> None:
+def _add_agent(
+    page: Page,
+    config: ReportConfig,
+    sources: Sources,
+    summary: dict[str, Any],
+    draw: "Callable[[Rollout], ndarray]",
+    shown: str,
+) -> None:
     from nerf_rl.pictures.video import write_mp4
     from nerf_rl.rl.rollout import rollout
     from nerf_rl.rl.training.curves import draw_learning_curve
 
     page.heading("Policy")
-    draw, shown = _drawing(sources)
     if sources.control != NO_CONTROL:
         shown = f"The policy is a control, {EYES_OF_CONTROLS[sources.control]}. {shown}"
     clips, outcomes = [], []
@@ -177,7 +178,7 @@ def _drawing(sources: Sources) -> "tuple[Callable[[Rollout], ndarray], str]":
 
     if sources.agents_encoder is None:
         return film, "The scene; the policy observes its true state, and no image."
-    folder, description = read_description(sources.agents_encoder)
+    folder, _ = read_description(sources.agents_encoder)
     if not (folder / FIELD).is_file():
         return film, "Left: the scene. Right: what the encoder's cameras see."
     from nerf_rl.pretrain.model.encoder import Encoder
@@ -185,7 +186,7 @@ def _drawing(sources: Sources) -> "tuple[Callable[[Rollout], ndarray], str]":
     from nerf_rl.report.decoded_rollout import decoded_clip
 
     rig, field = Encoder.load(sources.agents_encoder).rig, RadianceField.load(folder)
-    palette = np.array(description["palette"], np.uint8)
+    palette = np.array(described_classes(folder)[1], np.uint8)
 
     def draw(episode: "Rollout") -> ndarray:
         assert episode.images is not None and episode.latents is not None  # the agent has an encoder
@@ -199,9 +200,10 @@ def _drawing(sources: Sources) -> "tuple[Callable[[Rollout], ndarray], str]":
 
 def _made(folder: Path) -> str:
     """Return the command, revision and versions behind a folder."""
-    if not (folder / PROVENANCE).is_file():
+    try:
+        record = read_json(folder / PROVENANCE)
+        versions = " ".join(f"{name}=={version}" for name, version in record["packages"].items())
+        command = " ".join(["nerf-rl", *record["arguments"]])
+        return f"{command}\n  revision {record['git_revision']}, seed {record['seed']}\n  {versions}"
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):  # none there, or damaged
         return f"{folder}: unknown"
-    record = read_json(folder / PROVENANCE)
-    versions = " ".join(f"{name}=={version}" for name, version in record["packages"].items())
-    command = " ".join(["nerf-rl", *record["arguments"]])
-    return f"{command}\n  revision {record['git_revision']}, seed {record['seed']}\n  {versions}"

@@ -155,6 +155,38 @@ def test_a_control_is_called_one_wherever_its_figures_and_pictures_are(
     assert f"agent (control: {kind})</h1>" in view.read_text() and words in view.read_text()
 
 
+STEPS, PROBED, SHOWN = '"steps": 6, "seconds": 1', '"probe": {}, "class_iou": {}', '"validation": {"miou": 1}'
+
+
+@pytest.mark.parametrize(
+    "part, summary, told",
+    [
+        ("agent", "{", "its summary.json is damaged"),
+        ("agent", '{"evaluations": []}', "damaged (the whole is a mapping instead of one with seconds"),
+        ("agent", '{"evaluations": [], "seconds": 1.0}', "its summary.json holds no evaluation"),
+        ("encoder", "[]", "its summary.json is damaged (the whole is a list"),
+        ("encoder", f"{{{PROBED}, {STEPS}, {SHOWN}}}", "validation is a mapping instead of one with psnr_db"),
+    ],
+)
+def test_a_damaged_summary_is_told_in_a_sentence(
+    part: str,
+    summary: str,
+    told: str,
+    tiny_agent: Path,
+    tiny_encoder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    agent, encoder = tmp_path / "agent", tmp_path / "encoder"
+    for source, copy in ((tiny_agent, agent), (tiny_encoder, encoder)):
+        shutil.copytree(source, copy, ignore=shutil.ignore_patterns("checkpoints", "logs"))
+    ({"agent": agent, "encoder": encoder}[part] / "summary.json").write_text(summary)
+    words = ["--agent", str(agent), "--encoder", str(encoder), "--out", str(tmp_path / "new" / "x.html")]
+    assert cli.main(["report", *words]) == 2
+    message = capsys.readouterr().err
+    assert told in message and message.count("\n") == 1 and not (tmp_path / "new").exists()
+
+
 def test_a_place_that_no_page_can_have_is_told_before_anything_is_drawn(
     tiny_agent: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -163,3 +195,29 @@ def test_a_place_that_no_page_can_have_is_told_before_anything_is_drawn(
     assert cli.main(["report", "--agent", str(tiny_agent), "--out", str(tmp_path / "file" / "x.html")]) == 2
     message = capsys.readouterr().err
     assert "file is a file and no folder" in message and message.count("\n") == 1
+
+
+def test_a_field_whose_classes_nobody_names_is_told_by_report_and_view(
+    tiny_agent: Path, tiny_encoder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    encoder = tmp_path / "encoder"
+    shutil.copytree(tiny_encoder, encoder, ignore=shutil.ignore_patterns("checkpoints", "logs"))
+    description = json.loads((encoder / "encoder.json").read_text())
+    del description["palette"]
+    (encoder / "encoder.json").write_text(json.dumps(description))
+    for words in (
+        ["report", "--agent", str(tiny_agent), "--out", str(tmp_path / "x.html")],
+        ["view", str(tiny_agent), "--png", str(tmp_path / "x.png")],
+    ):
+        assert cli.main([*words, "--encoder", str(encoder), "--episodes", "1"]) == 2
+        message = capsys.readouterr().err
+        assert "does not name the classes and their colours" in message and message.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["encoder"]
+
+
+def test_a_damaged_record_of_how_a_run_was_made_leaves_the_rest_of_the_page(tiny_agent: Path, tmp_path: Path) -> None:
+    run, page = tmp_path / "agent", tmp_path / "page.html"
+    shutil.copytree(tiny_agent, run, ignore=shutil.ignore_patterns("checkpoints", "logs"))
+    (run / "provenance.json").write_text("{")
+    assert cli.main(["report", "--agent", str(run), "--out", str(page), "--episodes", "1"]) == 0
+    assert f"{run}: unknown" in page.read_text()

@@ -156,6 +156,18 @@ def test_a_place_that_no_picture_can_have_is_told_before_anything_is_drawn(
         assert told in message and message.count("\n") == 1
 
 
+@pytest.mark.parametrize("content", ["data: [", "- a list\n", "steps: 3\n", "data: 5\n"])
+def test_an_encoder_whose_configuration_names_no_dataset_asks_for_one(
+    content: str, tiny_encoder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("encoder.json", "encoder.safetensors", "field.json"):
+        (tmp_path / name).write_bytes((tiny_encoder / name).read_bytes())
+    (tmp_path / "config.yaml").write_text(content)
+    assert cli.main(["view", str(tmp_path)]) == 2
+    message = capsys.readouterr().err
+    assert "config.yaml" in message and "--data FOLDER" in message and message.count("\n") == 1
+
+
 def test_an_encoder_whose_dataset_has_gone_asks_for_one(
     tiny_encoder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -14,7 +14,7 @@ from numpy import ndarray
 from nerf_rl.pictures.images import surface_limits
 from nerf_rl.pretrain.model.conditioned_field import ConditionedField
 from nerf_rl.pretrain.model.encoder import Encoder
-from nerf_rl.pretrain.model.encoder_file import read_description
+from nerf_rl.pretrain.model.encoder_file import described_classes, read_description
 from nerf_rl.pretrain.model.field import RadianceField
 from nerf_rl.pretrain.model.ray_rendering import RenderedImages
 from nerf_rl.rl.agents.policy import Policy
@@ -68,11 +68,11 @@ class Agent:
         self.class_names: list[str] = []
         if self.policy.spec.encoder is not None:
             self.encoder = Encoder.load(self.policy.spec.encoder)
-            folder, description = read_description(self.policy.spec.encoder)
+            folder, _ = read_description(self.policy.spec.encoder)
             if (folder / "field.json").is_file():
                 self.field = RadianceField.load(folder).requires_grad_(False).to(device)
-                self.palette = np.array(description["palette"], np.uint8)
-                self.class_names = description["classes"]
+                self.class_names, palette = described_classes(folder)  # which a checkpoint in it does not know
+                self.palette = np.array(palette, np.uint8)
         self._depth_range: tuple[float, float] | None = None
         self._acted: dict[int, ActedEpisode] = {}
 

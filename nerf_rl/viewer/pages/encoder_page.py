@@ -24,9 +24,7 @@ def dataset_of_encoder(config: ViewConfig) -> tuple[MultiViewDataset, Path]:
     if not (folder / "field.json").is_file():
         remedy = "give the run folder that pretrain wrote"
         raise MissingFileError("an encoder with its radiance field", folder, "it holds no field.json", remedy)
-    data = config.data
-    if not data and (folder / "config.yaml").is_file():
-        data = yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8")).get("data", "")
+    data = config.data or _recorded_dataset(folder)
     if not data or (not config.data and not Path(data).exists()):
         where = f"its dataset {data} is not there" if data else "its dataset is not known"
         raise UserError(f"{folder}: {where}; say where one with the same cameras is by --data FOLDER")
@@ -34,6 +32,21 @@ def dataset_of_encoder(config: ViewConfig) -> tuple[MultiViewDataset, Path]:
     EncoderRig.from_json(description["rig"]).require_same(EncoderRig.of_dataset(dataset))
     _require_same_scene(folder, description["scene"]["name"], dataset)
     return dataset, folder
+
+
+def _recorded_dataset(folder: Path) -> str:
+    """Return the dataset that a run was trained on, as its configuration has it; empty if there is none."""
+    path = folder / "config.yaml"
+    if not path.is_file():
+        return ""
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))["data"]
+        if isinstance(data, str):
+            return data
+        reason: object = f"data is {data!r}"
+    except (OSError, ValueError, LookupError, TypeError, RecursionError, yaml.YAMLError) as error:
+        reason = error
+    raise UserError(f"{path} does not say which dataset the encoder was trained on ({reason}); say by --data FOLDER")
 
 
 def _require_same_scene(folder: Path, trained: str, dataset: MultiViewDataset) -> None:
