@@ -37,7 +37,8 @@ $(READY):
 	@start=$$(date +%s) && sh tools/install/system_libraries.sh && sh tools/install/environment.sh && \
 		rm -f .venv/ready-* && touch $@ && echo "setup: done in $$(($$(date +%s) - start)) s"
 
-# A stage of the demo is done when its summary.json exists; one that was interrupted goes on where it stopped.
+# A stage of the demo is done when its summary.json exists; one that was interrupted goes on where it stopped. A report
+# that is older than a stage is written anew.
 # $(call stage,name,arguments) runs a command of nerf-rl and prints how long it took.
 define stage
 @start=$$(date +%s) && echo "==> nerf-rl $(1) $(2)" && $(BIN)/nerf-rl $(1) $(2) && \
@@ -65,7 +66,7 @@ $(AGENT)/summary.json: | $(ENCODER)/summary.json
 	$(call stage,train-rl,--config rl/drawer-open.yaml --encoder $(ENCODER) --out $(AGENT) --resume true $(AGENT_EVALUATION) $(AGENT_KEYS))
 
 $(REPORT): $(DATA)/summary.json $(ENCODER)/summary.json $(AGENT)/summary.json
-	$(call stage,report,--data $(DATA) --encoder $(ENCODER) --agent $(AGENT) --out $(REPORT) $(REPORT_KEYS))
+	$(call stage,report,--data $(DATA) --encoder $(ENCODER) --agent $(AGENT) --out $(REPORT) --overwrite true $(REPORT_KEYS))
 
 # What is finished is skipped: an interrupted `make paper` goes on where it stopped.
 paper: $(READY)

@@ -1,0 +1,43 @@
+"""What ``make`` does about what is there already of a demo."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+NERF_RL = """#!/bin/sh
+# Stands for the command: does nothing but to write what make looks for, and to refuse a report that is there.
+command=$1
+while [ $# -gt 0 ]; do
+    case $1 in --out) out=$2 ;; --overwrite) overwrite=$2 ;; esac
+    shift
+done
+echo "$command" >>calls
+if [ "$command" != report ]; then mkdir -p "$out" && touch "$out/summary.json" && exit; fi
+[ ! -e "$out" ] || [ "${overwrite:-false}" = true ] || exit 2
+touch "$out"
+"""
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """A folder with what make reads."""
+    for file in ("Makefile", "pyproject.toml"):
+        shutil.copyfile(ROOT / file, tmp_path / file)
+    return tmp_path
+
+
+def test_a_demo_whose_agent_was_taken_away_is_completed(checkout: Path) -> None:
+    (checkout / ".venv" / "bin").mkdir(parents=True)
+    (checkout / ".venv" / "bin" / "nerf-rl").write_text(NERF_RL)
+    (checkout / ".venv" / "bin" / "nerf-rl").chmod(0o755)
+    digest = subprocess.run(["cksum", "pyproject.toml"], cwd=checkout, capture_output=True, text=True, check=True)
+    (checkout / ".venv" / f"ready-{digest.stdout.split()[0]}").touch()
+    for expected in (["gen-dataset", "pretrain", "train-rl", "report"], ["train-rl", "report"], []):
+        (checkout / "calls").write_text("")
+        subprocess.run(["make", "demo"], cwd=checkout, check=True, capture_output=True)
+        assert (checkout / "calls").read_text().split() == expected
+        if len(expected) == 4:
+            shutil.rmtree(checkout / "runs" / "demo" / "agent")
