@@ -1,7 +1,8 @@
-"""What ``make`` does about what is there already of a demo."""
+"""What ``make`` does about what is there already: of a demo, and of an environment that was not finished."""
 
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -24,8 +25,10 @@ touch "$out"
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
     """A folder with what make reads."""
-    for file in ("Makefile", "pyproject.toml"):
+    for file in ("Makefile", "pyproject.toml", *(f"tools/install/{n}.sh" for n in ("environment", "find_python"))):
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(ROOT / file, tmp_path / file)
+    (tmp_path / "tools" / "install" / "python_packages.sh").write_text("install_with() { :; }\n")
     return tmp_path
 
 
@@ -41,3 +44,14 @@ def test_a_demo_whose_agent_was_taken_away_is_completed(checkout: Path) -> None:
         assert (checkout / "calls").read_text().split() == expected
         if len(expected) == 4:
             shutil.rmtree(checkout / "runs" / "demo" / "agent")
+
+
+def test_an_environment_without_pip_is_made_again_and_a_whole_one_is_kept(checkout: Path) -> None:
+    python = checkout / ".venv" / "bin" / "python"
+    setup = ["env", f"PYTHON={sys.executable}", "sh", "tools/install/environment.sh"]
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", checkout / ".venv"], check=True)
+    for anew in (True, False):
+        (checkout / ".venv" / "mine").touch()
+        said = subprocess.run(setup, cwd=checkout, check=True, capture_output=True, text=True).stdout
+        assert ("making .venv" in said) == anew and (checkout / ".venv" / "mine").exists() != anew
+        subprocess.run([python, "-m", "pip", "--version"], check=True, capture_output=True)
