@@ -12,7 +12,8 @@ from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION
 
 _MARKS = {"dataset": "manifest.json", "encoder": DESCRIPTION, "agent": POLICY_DESCRIPTION}
 _PLAN = "plan.json"
-_RESUMED = ("gen-dataset", "import", "merge", "pretrain", "train-rl", "tune")
+RESUMED = ("gen-dataset", "import", "merge", "pretrain", "train-rl", "tune")
+"""commands whose runs go on by ``--resume true``"""
 
 
 class Subject(Enum):
@@ -57,4 +58,4 @@ def _told_by_other_files(folder: Path) -> str:
         return f"its {PROVENANCE} is damaged"
     if (folder / SUMMARY).is_file():
         return f"it is a finished run of {command}"
-    return f"it is an unfinished run of {command}" + " (finish it with --resume true)" * (command in _RESUMED)
+    return f"it is an unfinished run of {command}" + " (finish it with --resume true)" * (command in RESUMED)

@@ -11,6 +11,8 @@ from code_blocks import ROOT, SHELL, Block, blocks, pages
 from not_run import LINES, LISTINGS, TEXTS
 from world import SMALLER, commands_of
 
+from nerf_rl.cli import COMMANDS
+from nerf_rl.viewer.subject import RESUMED
 from tools.page_tables import write_tables
 from tools.record import choices, recipe_agents
 
@@ -152,3 +154,11 @@ def test_pictures_are_small() -> None:
     pictures = list((ROOT / "docs" / "pictures").iterdir())
     assert len(pictures) > 5
     assert {path.name for path in pictures if path.stat().st_size > MOST_BYTES} == set()
+
+
+def test_the_commands_that_go_on_where_they_were_interrupted_are_those_with_the_key() -> None:
+    (told,) = re.findall(r"`--resume true` continues([^.]*)\.", (ROOT / "README.md").read_text())
+    configs = {name: command.config.split(":") for name, command in COMMANDS.items()}
+    keys = {name: getattr(importlib.import_module(module), config) for name, (module, config) in configs.items()}
+    resumable = {name for name, config in keys.items() if hasattr(config, "resume")}
+    assert set(re.findall("`([a-z-]+)`", told)) == resumable == set(RESUMED)
