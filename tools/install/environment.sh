@@ -1,5 +1,5 @@
 #!/bin/sh
-# Make the virtual environment .venv, if there is none that packages can be installed into, and install nerf-rl with its development tools into it.
+# Make the virtual environment .venv, or complete it, and install nerf-rl with its development tools into it.
 set -eu
 cd "$(dirname "$0")/../.."
 
@@ -14,7 +14,7 @@ if ! can_install; then
         exit 1
     }
     echo "setup: making .venv with $("$python" --version)"
-    "$python" -m venv --clear .venv
+    "$python" -m venv .venv  # what is in one that is there already stays
 fi
 echo "setup: installing nerf-rl and its dependencies (a few GB, mostly torch)"
 . tools/install/python_packages.sh
