@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from nerf_rl.datasets.export.picture_names import ENDING, picture_names
 from nerf_rl.datasets.export.seen import Seen
 from nerf_rl.datasets.storage.point_cloud import write_point_cloud
 from nerf_rl.datasets.storage.reader import MultiViewDataset
@@ -37,6 +38,7 @@ def write_scene(folder: Path, seen: Seen, dataset: MultiViewDataset, masks: bool
     frame, depth, kept = seen.frame, seen.depth(), seen.kept()
     has_depth, has_labels = DEPTH not in frame.absent, LABELS not in frame.absent
     entries = []
+    files = picture_names(dataset.camera_names)
     for view, name in enumerate(dataset.camera_names):
         images = {"file_path": ("images", frame.rgb[view][..., ::-1])}
         if has_depth:
@@ -49,7 +51,7 @@ def write_scene(folder: Path, seen: Seen, dataset: MultiViewDataset, masks: bool
             images["mask_path"] = ("masks", np.where(kept[view], 255, 0).astype(np.uint8))
         entry = {}
         for key, (kind, image) in images.items():
-            entry[key] = f"{kind}/{name}.png"
+            entry[key] = f"{kind}/{files[view]}{ENDING}"
             _write_image(folder / entry[key], image)
         K = frame.intrinsics[view]
         height, width = depth[view].shape

@@ -12,6 +12,7 @@ from captures import HEIGHT, TINY, WIDTH, read, write_capture
 
 from nerf_rl import cli
 from nerf_rl.cameras.geometry import look_from, pixel_centres, pixel_directions, project, projection_matrix
+from nerf_rl.datasets.export.picture_names import picture_names
 from nerf_rl.datasets.importing import importer
 from nerf_rl.datasets.storage.frames import read_frame
 from nerf_rl.datasets.storage.point_cloud import fuse_views
@@ -262,3 +263,32 @@ def test_cameras_get_the_roles_that_are_asked_for(scenes: Path, tmp_path: Path):
 
 def test_one_scene_is_a_source_too(scenes: Path, tmp_path: Path):
     assert len(read(scenes / "frame_000004", tmp_path / "out")) == 1
+
+
+def test_no_cameras_name_leads_an_exported_picture_elsewhere(tmp_path: Path):
+    write_capture(tmp_path / "capture", moments=1)
+    description = tmp_path / "capture" / "moment_0" / "transforms.json"
+    content = json.loads(description.read_text())
+    names = ("../../../escaped_0", "escaped_0", "arm/wrist")
+    for frame, name in zip(content["frames"], names, strict=True):
+        frame["camera"] = name
+    description.write_text(json.dumps(content))
+    dataset = read(tmp_path / "capture", tmp_path / "data")
+    assert sorted(dataset.camera_names) == sorted(names)
+    out = tmp_path / "exports" / "out"
+    assert cli.main(["export", str(dataset.folder), "--out", str(out)]) == 0
+    pictures = sorted(path.relative_to(out / "frame_000000").as_posix() for path in tmp_path.rglob("*.png"))
+    assert pictures == ["images/arm/wrist.png", "images/escaped_0.png", "images/escaped_0_2.png"]
+    back = read(out, tmp_path / "back")
+    assert back.camera_names == dataset.camera_names
+    np.testing.assert_array_equal(back.read("rgb"), dataset.read("rgb"))
+
+
+def test_files_of_pictures_are_named_after_their_cameras_as_far_as_that_is_safe():
+    cameras = ["left", "arm/wrist", "/left", "a/../left", "Ka.mera ö:1"]
+    cameras += ["", "..", "C:x", "left.png/x", "x" * 300, "left"]
+    names = picture_names(cameras)
+    assert names[:2] == cameras[:2] and names[2:4] == ["left_2", "a_left"] and names[4] == cameras[4]
+    assert len(set(names)) == len(names)
+    for name in names:
+        assert (Path("/folder") / f"{name}.png").resolve().is_relative_to("/folder") and len(name) < 220
