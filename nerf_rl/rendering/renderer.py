@@ -27,6 +27,8 @@ _HIDDEN_GROUP = 5  # of geoms; not drawn by default
 _FULL_SHADOW_MAP = 4096
 _USUAL_PIXELS_PER_METRE = 1.0 / (2.0 * np.tan(np.deg2rad(22.5)) * 0.7)  # [1/m], times the image's height
 _FULL_SAMPLES = 4
+_HANGING_SEGMENTS = 50  # of a slack tendon, at most; MuJoCo 3.3 draws 28
+_CRANK_PARTS = 3  # of an actuator's slider and crank
 _SMOOTH_SIDE = 2  # pixels drawn, along each side, of one that is kept; half the time of multisampling in software
 
 
@@ -90,7 +92,7 @@ class MultiViewRenderer:
         self._option = mujoco.MjvOption()
         self._option.sitegroup[:] = 0
         self._camera, self._perturb = mujoco.MjvCamera(), mujoco.MjvPerturb()
-        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 1000)
+        self._scene = mujoco.MjvScene(model, maxgeom=_most_scene_geoms(model))
         self._scene_geoms = self._scene.geoms  # making this tuple takes longer than reading what is in it
         self._near = float(model.vis.map.znear * model.stat.extent)
         self.far = float(model.vis.map.zfar * model.stat.extent)
@@ -331,6 +333,16 @@ class _DrawnGeoms(NamedTuple):
     """geom id of each colour of the label pass; colour 0 is the background, the n-th geom has n + 1"""
     opaque: bool
     """whether nothing shows through anything, so that what has no label has no colour either"""
+
+
+def _most_scene_geoms(model: mujoco.MjModel) -> int:
+    """Return how many geoms a scene may come to hold; MuJoCo leaves out what is too many, and planes are put in last.
+
+    All but the model's own are put in twice, since planes are put in by themselves (:meth:`_update_scene`).
+    """
+    tendons = 2 * model.nwrap + _HANGING_SEGMENTS * model.ntendon
+    others = tendons + _CRANK_PARTS * model.nu + model.nsensordata + model.nflex + model.nskin
+    return int(model.ngeom + 1000 + 2 * others)
 
 
 def _upright(views: Shaped[ndarray, "V H W *C"]) -> Shaped[ndarray, "V H W *C"]:

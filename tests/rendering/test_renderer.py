@@ -262,6 +262,20 @@ def test_a_large_site_does_not_change_the_images_but_a_geom_in_its_place_does(bo
         assert unchanged == [kind == "site"] * 3
 
 
+def test_however_many_segments_a_tendon_has_the_floor_is_drawn(boxes):
+    _, bare, other = boxes
+    sites = "".join(f'<site name="s{i}" pos="{0.01 * i} 0 -9"/>' for i in range(1100))
+    through = "".join(f'<site site="s{i}"/>' for i in range(1100))
+    model, data = loaded(f"{sites}</worldbody><tendon><spatial>{through}</spatial></tendon><worldbody>")
+    renderer = MultiViewRenderer(model, 48, 48, 4)
+    intrinsics, poses = random_cameras(np.random.default_rng(5), 4, 48, (0.0, 0.0, 0.1))
+    views, expected = renderer.render(data, intrinsics, poses), other.render(bare, intrinsics, poses)
+    renderer.close()
+    assert (expected.geom == 0).any()
+    np.testing.assert_array_equal(views.geom, expected.geom)
+    np.testing.assert_array_equal(views.rgb, expected.rgb)
+
+
 @pytest.mark.parametrize("quality", ["fast", "smooth", "full"])
 def test_colours_alone_are_those_of_the_complete_rendering(quality: str):
     model, data = loaded()
