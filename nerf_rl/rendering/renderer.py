@@ -20,6 +20,7 @@ from nerf_rl.errors import UserError
 from nerf_rl.machine.gl import is_software, renderer_name
 from nerf_rl.rendering.culling import FrustumCulling, planes_from_behind
 from nerf_rl.rendering.level_of_detail import simplify_meshes
+from nerf_rl.rendering.near_plane import near_plane
 from nerf_rl.rendering.offscreen_target import OffscreenTarget
 from nerf_rl.rendering.still_background import StillBackground, StillGeoms
 
@@ -94,7 +95,7 @@ class MultiViewRenderer:
         self._camera, self._perturb = mujoco.MjvCamera(), mujoco.MjvPerturb()
         self._scene = mujoco.MjvScene(model, maxgeom=_most_scene_geoms(model))
         self._scene_geoms = self._scene.geoms  # making this tuple takes longer than reading what is in it
-        self._near = float(model.vis.map.znear * model.stat.extent)
+        self._near = near_plane(model)
         self.far = float(model.vis.map.zfar * model.stat.extent)
         self._culling = FrustumCulling(model, height, width, self._near)
         self._labels_insides = quality == "smooth"

@@ -6,6 +6,7 @@ import pytest
 
 from nerf_rl.cameras import geometry as cameras
 from nerf_rl.rendering.culling import FrustumCulling
+from nerf_rl.rendering.near_plane import near_plane
 from nerf_rl.rendering.renderer import MultiViewRenderer
 from nerf_rl.scenes.base import Scene
 
@@ -112,3 +113,30 @@ def test_in_full_quality_what_is_out_of_view_still_casts_its_shadow():
         brightness.append(renderer.render(data, intrinsics, pose).rgb.mean())
         renderer.close()
     assert brightness[1] < brightness[0] - 10
+
+
+@pytest.mark.parametrize("quality", ["fast", "smooth"])
+def test_what_moves_is_not_cut_off_by_the_near_plane_of_a_large_model(quality: str):
+    """On a ground of 60 m, a ball is seen from 0.4 m as on one of 2 m, and its depth is what a ray measures."""
+    pose = cameras.look_at(np.array([0.0, 0.0, 0.1]), 0.4, 30.0, -30.0)
+    intrinsics = cameras.intrinsics_from_fovy(45.0, SIZE, SIZE)
+    seen = []
+    for half in (1, 30):
+        model = mujoco.MjModel.from_xml_string(
+            f"""<mujoco><worldbody><light pos="0 0 3"/>
+              <geom type="box" size="{half} {half} 0.5" pos="0 0 -0.5"/>
+              <body pos="0 0 0.1"><freejoint/><geom size="0.1" rgba="1 0 0 1"/></body>
+            </worldbody></mujoco>"""
+        )
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        renderer = MultiViewRenderer(model, SIZE, SIZE, 1, quality)
+        seen.append(renderer.render(data, intrinsics[None], pose[None]))
+        renderer.close()
+        usual = model.vis.map.znear * model.stat.extent
+        assert near_plane(model) == usual if half == 1 else near_plane(model) < 0.01 < 0.4 < usual
+    assert (seen[0].geom == 1).mean() > 0.1
+    np.testing.assert_array_equal(seen[1].geom == 1, seen[0].geom == 1)
+    np.testing.assert_allclose(seen[1].depth[0, SIZE // 2, SIZE // 2], 0.3, atol=2e-3)
+    same = (seen[0].geom >= 0) & (seen[0].geom == seen[1].geom)  # the large ground goes on behind the small one's end
+    np.testing.assert_allclose(seen[1].depth[same], seen[0].depth[same], atol=1e-4)
