@@ -4,6 +4,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Bool
+from numpy import ndarray
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.stored_manifest import LABELS
@@ -22,17 +24,26 @@ def blind_cameras(dataset: MultiViewDataset) -> dict[str, float]:
     Returns:
         The share of such frames, by the camera's name.
     """
-    if LABELS in dataset.absent:
-        return {}
-    frames = np.unique(np.linspace(0, len(dataset) - 1, _FRAMES).round().astype(int)).tolist()
-    sees = np.stack([(dataset.read_labels([frame])[0] != 0).mean((-2, -1)) >= _LITTLE for frame in frames])
-    shares = (~sees & sees.any(1, keepdims=True)).mean(0).tolist()
-    return {name: share for name, share in zip(dataset.camera_names, shares, strict=True) if share >= _OFTEN}
+    return {} if LABELS in dataset.absent else _blind(dataset, _sees(dataset))
 
 
 def warn_of_blind_cameras(folder: Path) -> dict[str, dict[str, float]]:
-    """Print a warning for each of a dataset's :func:`blind_cameras`; return what its summary is to say of them."""
-    blind = blind_cameras(MultiViewDataset(folder))
+    """Print a warning for each of a dataset's :func:`blind_cameras`; return what its summary is to say of them.
+
+    If no camera sees anything but the background in any of the frames, that is warned of.
+    """
+    dataset = MultiViewDataset(folder)
+    if LABELS in dataset.absent:
+        return {}
+    sees = _sees(dataset)
+    if not sees.any() and len(dataset.class_names) > 1:
+        print(
+            f"warning: no camera sees anything but the background in any of {len(sees)} frames: the cameras look "
+            "elsewhere, or what moves is too small for them or lies before their near plane (visual/map znear times "
+            f"statistic/extent in MJCF); look at them with nerf-rl view {folder}",
+            file=sys.stderr,
+        )
+    blind = _blind(dataset, sees)
     for name, share in blind.items():
         print(
             f"warning: camera {name} sees nothing but the background in {share:.0%} of the frames, while others see "
@@ -40,3 +51,14 @@ def warn_of_blind_cameras(folder: Path) -> dict[str, dict[str, float]]:
             file=sys.stderr,
         )
     return {"blind_cameras": blind} if blind else {}
+
+
+def _sees(dataset: MultiViewDataset) -> Bool[ndarray, "F V"]:
+    """Tell, of some frames, which cameras see more than the background."""
+    frames = np.unique(np.linspace(0, len(dataset) - 1, _FRAMES).round().astype(int)).tolist()
+    return np.stack([(dataset.read_labels([frame])[0] != 0).mean((-2, -1)) >= _LITTLE for frame in frames])
+
+
+def _blind(dataset: MultiViewDataset, sees: Bool[ndarray, "F V"]) -> dict[str, float]:
+    shares = (~sees & sees.any(1, keepdims=True)).mean(0).tolist()
+    return {name: share for name, share in zip(dataset.camera_names, shares, strict=True) if share >= _OFTEN}

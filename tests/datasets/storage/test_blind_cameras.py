@@ -77,3 +77,24 @@ def test_where_all_cameras_see_something_or_none_does_there_is_nothing_to_tell(
     astray = "[{name: astray, position: [-1.5, 0, 0.8], lookat: [-3, 0, 0]}]"
     assert cli.main([*words, "--out", str(tmp_path / "data"), "--rig.cameras", astray, "--rig.test", "[]"]) == 0
     assert blind_cameras(MultiViewDataset(tmp_path / "data")) == {}
+
+
+def test_a_dataset_in_which_no_camera_sees_what_moves_is_warned_of(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    astray = "[{name: astray, position: [-1.5, 0, 0.8], lookat: [-3, 0, 0]}]"
+    assert cli.main([*words, "--out", str(tmp_path / "data"), "--rig.cameras", astray, "--rig.test", "[]"]) == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning: ")]
+    assert len(said) == 1 and "no camera sees anything but the background in any of 6 frames" in said[0]
+    assert str(tmp_path / "data") in said[0]
+
+
+def test_around_a_large_ground_what_moves_is_seen_all_the_same(words: list[str], tmp_path: Path):
+    """MuJoCo's near plane, a hundredth of the model's size, is farther away than the cart."""
+    scene = tmp_path / "scene.xml"
+    scene.write_text(SCENE.replace('type="plane" size="3 3 0.1"', 'type="box" size="90 90 0.1" pos="0 0 -0.1"'))
+    assert cli.main([*words, "--out", str(tmp_path / "data")]) == 0
+    dataset = MultiViewDataset(tmp_path / "data")
+    assert blind_cameras(dataset) == BLIND
+    cart = dataset.read("semantic")[:, dataset.camera_names.index("open")] == dataset.class_names.index("robot")
+    assert (cart.mean((1, 2)) > 0.005).all()
