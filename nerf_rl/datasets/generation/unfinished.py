@@ -25,6 +25,8 @@ class OutputRecord(DatasetRecord):
     def __init__(self, config: GenDatasetConfig):
         dataset, (part, parts) = Path(config.out), config.share()
         self._is_part, self._states = bool(config.shard), config.behaviour.states
+        if self._states:
+            self._another = f"another configuration, or with other states in {self._states}"
         shards = range(part - 1, shard_count(config), parts)
         super().__init__(
             dataset,

@@ -38,6 +38,8 @@ class DatasetRecord:
         shards: numbers of those that this run makes.
     """
 
+    _another = "another configuration"  # with which it was begun, as a refusal says
+
     def __init__(
         self,
         dataset: Path,
@@ -63,9 +65,7 @@ class DatasetRecord:
         """
         check_output(self.folder, self._config.overwrite, self._config.resume, self._begun())
         if self._is_other:
-            raise UserError(
-                f"{self.dataset} was begun with another configuration; use the same one, or --overwrite true"
-            )
+            raise UserError(f"{self.dataset} was begun with {self._another}; use the same one, or --overwrite true")
 
     def finished_shards(self, scene: Mapping[str, Any]) -> dict[int, FinishedShard]:
         """Return the shards that an interrupted run left whole, by number; none unless it is to be resumed.

@@ -6,24 +6,39 @@ the plan's digest, so that only with it they come out byte for byte the same.
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from nerf_rl.arguments.stored_keys import with_defaults
 from nerf_rl.datasets.config import GenDatasetConfig
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.datasets.storage.shards import MANIFEST, sha256_of
 from nerf_rl.files.json_files import read_json
 from nerf_rl.files.outputs import plain
 
 PLAN = "plan.json"
 
+_STATES_SHA256 = "states_sha256"  # of a plan: what the source of states held; not a key of the command
+
 Plan = dict[str, Any]
-"""The keys that decide the content, and their values."""
+"""The keys that decide the content, and their values; and the digest of the states that are replayed, if there are."""
 
 
 def plan_of(config: GenDatasetConfig) -> Plan:
-    """Return the plan of a dataset that is begun now."""
-    return plain(config.content())
+    """Return the plan of a dataset that is begun now.
+
+    Raises:
+        UserError: the source of the states that it replays is a damaged dataset.
+    """
+    states = config.behaviour.states
+    digest = _states_digest(Path(states)) if states else None
+    return {**plain(config.content()), **({} if digest is None else {_STATES_SHA256: digest})}
+
+
+def command_keys(plan: Mapping[str, Any]) -> Plan:
+    """Return the keys of the command that a plan holds."""
+    return {key: value for key, value in plan.items() if key != _STATES_SHA256}
 
 
 def plan_digest(plan: Plan) -> str:
@@ -32,8 +47,14 @@ def plan_digest(plan: Plan) -> str:
 
 
 def same_content(first: Any, second: Any) -> bool:
-    """Tell whether two plans make the same dataset: a key that one does not have yet counts as its default."""
-    return with_defaults(first, GenDatasetConfig) == with_defaults(second, GenDatasetConfig)
+    """Tell whether two plans make the same dataset.
+
+    A key that one does not have yet counts as its default, and a digest of states as what the other one has.
+    """
+    plans = [with_defaults(plan, GenDatasetConfig) for plan in (first, second)]
+    if not all(isinstance(plan, Mapping) and _STATES_SHA256 in plan for plan in plans):
+        plans = [command_keys(plan) if isinstance(plan, Mapping) else plan for plan in plans]
+    return plans[0] == plans[1]
 
 
 def begun_plan(paths: Iterable[Path], plan: Plan) -> Plan | None:
@@ -50,6 +71,20 @@ def begun_plan(paths: Iterable[Path], plan: Plan) -> Plan | None:
     if not all(same_content(other, plan) for other in stored):
         return None
     return stored[0] if stored else plan
+
+
+def _states_digest(source: Path) -> str | None:
+    """Return what identifies the content of a source of states; None if it cannot be read, which opening it will tell.
+
+    Raises:
+        UserError: the source is a damaged dataset.
+    """
+    if (source / MANIFEST).is_file():
+        return MultiViewDataset(source).digest()
+    try:
+        return sha256_of(source)
+    except OSError:
+        return None
 
 
 def _read(path: Path) -> Any:

@@ -15,7 +15,7 @@ from nerf_rl.datasets.generation.shard_episodes import open_render_context, shar
 from nerf_rl.datasets.generation.workers import render_shards
 from nerf_rl.datasets.storage.disk import bytes_needed, explain_full_disk, require_space
 from nerf_rl.datasets.storage.finished_shards import FinishedShard, finished_shard, shard_entry, with_shards
-from nerf_rl.datasets.storage.plan import PLAN, Plan
+from nerf_rl.datasets.storage.plan import PLAN, Plan, command_keys, plan_of, same_content
 from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS, read_manifest, shard_file, shard_path
 from nerf_rl.datasets.storage.stored_manifest import IMPORTED_FROM
 from nerf_rl.datasets.upkeep.problems import IMPORT_AGAIN, Problem, shard_problems
@@ -68,6 +68,8 @@ def _restore(folder: Path, manifest: dict[str, Any], damaged: list[int], workers
         names = ", ".join(shard_file(shard.shard) for shard in other)
         here, there = other[0].renderer, manifest["renderer"]
         reason = f"here {here} renders, it was made by {there}" if here != there else "package versions may differ"
+        if not same_content(plan_of(config), manifest["config"]):
+            reason = f"{config.behaviour.states} holds other states than it did"
         raise FailureError(
             f"{folder}: {names} came out otherwise than recorded and was left as it was: {reason}; repair it where it "
             "was made, or make such shards anew with gen-dataset --resume true"
@@ -128,6 +130,6 @@ def _config(folder: Path, content: dict[str, Any], workers: int) -> GenDatasetCo
     if IMPORTED_FROM in content:
         raise UserError(f"{folder} was imported, so there is no simulator to render its shards again; {IMPORT_AGAIN}")
     try:
-        return config_of(GenDatasetConfig, {**content, "out": str(folder), "workers": workers})
+        return config_of(GenDatasetConfig, {**command_keys(content), "out": str(folder), "workers": workers})
     except UserError as error:
         raise UserError(f"{folder} was made by another version of nerf-rl ({error}); make it again") from error

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from nerf_rl import cli
+from nerf_rl.datasets.config import BehaviourConfig, GenDatasetConfig
 from nerf_rl.datasets.generation.stored_states import open_states
+from nerf_rl.datasets.storage.plan import command_keys, plan_of, same_content
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import UserError
 from nerf_rl.scenes.make import make_scene
@@ -62,6 +64,50 @@ def test_an_archive_of_positions_is_rendered_as_it_is(tmp_path: Path):
     np.testing.assert_array_equal(dataset.read("state/qpos", np.arange(8)), qpos)
     assert dataset.read("step", np.arange(8)).tolist() == [0, 1, 2, 3, 0, 1, 2, 3]
     assert not dataset.read("reward", np.arange(8)).any()
+
+
+def test_a_replay_goes_on_with_the_same_states_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    source, out = tmp_path / "states.npz", tmp_path / "data"
+    qpos = np.tile(make_scene(BLOCKS).data.qpos, (2, 2, 1))
+    np.savez(source, qpos=qpos)
+    states = source.read_bytes()
+    keys = ["--scene", BLOCKS, "--size", "16", "--episodes_per_shard", "1", *replay(source, 2, 2)]
+    command = ["gen-dataset", "--workers", "1", "--out", str(out), *keys]
+    for part in ("1/2", "2/2"):
+        assert cli.main([*command, "--shard", part]) == 0
+    assert cli.main(["merge", str(out)]) == 0 and cli.main(["check", str(out)]) == 0
+    whole = {path.name: path.read_bytes() for path in (out / "shards").iterdir()}
+    lost = out / "shards" / "000001.h5"
+
+    np.savez(source, qpos=qpos + 1e-3)
+    lost.unlink()
+    capsys.readouterr()
+    assert cli.main([*command, "--resume", "true"]) == 2
+    said = capsys.readouterr().err
+    assert f"with other states in {source}; use the same one" in said and said.count("\n") == 1
+    assert cli.main(["check", str(out), "--repair", "true"]) == 1
+    assert f"{source} holds other states than it did" in capsys.readouterr().err and not lost.exists()
+
+    source.write_bytes(states)
+    for words in (["check", str(out), "--repair", "true"], [*command, "--resume", "true"]):
+        lost.unlink(missing_ok=True)
+        assert cli.main(words) == 0
+        assert {path.name: path.read_bytes() for path in (out / "shards").iterdir()} == whole
+
+
+def test_the_content_of_a_replayed_dataset_counts_and_that_of_older_plans_is_not_asked_for(
+    tiny_dataset: Path, tmp_path: Path
+):
+    config = GenDatasetConfig("", behaviour=BehaviourConfig(replay=1.0, states=str(tmp_path / "source")))
+    plans = []
+    for dataset in (tiny_dataset, generate(tmp_path / "other", "--episodes", "1", "--size", "8").folder):
+        (tmp_path / "source").unlink(missing_ok=True)
+        (tmp_path / "source").symlink_to(dataset)
+        plans.append(plan_of(config))
+    older = config.content()
+    assert not same_content(*plans) and same_content(plans[0], older) and same_content(older, plans[1])
+    assert command_keys(plans[0]) == older
+    assert plan_of(GenDatasetConfig("")) == GenDatasetConfig("").content()
 
 
 @pytest.mark.parametrize(
