@@ -1,5 +1,7 @@
 """States stored earlier, to be rendered again: those of a dataset, or trajectories in a NumPy archive."""
 
+import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -7,6 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
+from numpy.lib.npyio import NpzFile
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.shards import MANIFEST
@@ -18,6 +21,7 @@ _KEPT = ("state/action", "reward", "success")
 _NAMED = ("proprio", "privileged")
 _MODEL = ("state/body_pos", "state/body_quat")
 _STATE = ("state/qpos", "state/qvel", "state/mocap_pos", "state/mocap_quat")
+_UNREADABLE = (OSError, EOFError, ValueError, RuntimeError, zipfile.BadZipFile, zlib.error)  # as zipfile and NumPy say
 
 Row = Mapping[str, ndarray]
 """Arrays of a dataset's shard for one state, ``step`` and ``state/qpos`` at least."""
@@ -104,9 +108,12 @@ class _ArchiveStates:
             "mocap_quat": (model.nmocap, 4),
         }
         try:
-            with np.load(path, allow_pickle=False) as archive:
+            archive = np.load(path, allow_pickle=False)
+            if not isinstance(archive, NpzFile):
+                raise ValueError("it holds a single array, as .npy files do")
+            with archive:
                 found = {name: np.asarray(archive[name], np.float64) for name in shapes if name in archive.files}
-        except (OSError, ValueError) as error:
+        except _UNREADABLE as error:
             raise MissingFileError("a source of states", path, str(error), "save it with numpy.savez") from error
         if "qpos" not in found:
             raise UserError(f"{path} has no array qpos; it needs qpos [T, nq] or [E, T, nq], and may have qvel")

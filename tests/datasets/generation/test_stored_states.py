@@ -1,5 +1,6 @@
 """Replaying states: of a dataset and of NumPy archives."""
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -124,6 +125,40 @@ def test_archives_that_do_not_fit_are_refused_in_a_sentence(arrays: dict, words:
     np.savez(tmp_path / "states.npz", **arrays)
     with pytest.raises(UserError, match=words):
         open_states(tmp_path / "states.npz", make_scene(BLOCKS))
+
+
+def stored(compressed: bool = False) -> bytes:
+    """Return an archive of positions."""
+    qpos = np.random.default_rng(0).random((9, 27))
+    (np.savez_compressed if compressed else np.savez)(into := io.BytesIO(), qpos=qpos)
+    return into.getvalue()
+
+
+def single_array() -> bytes:
+    """Return what an .npy file holds."""
+    np.save(into := io.BytesIO(), np.zeros((3, 27)))
+    return into.getvalue()
+
+
+@pytest.mark.parametrize(
+    "content, words",
+    [
+        (stored()[:-40], "not a zip file"),
+        (b"", "No data left in file"),
+        (single_array(), "it holds a single array, as .npy files do"),
+        (stored(compressed=True)[:200] + bytes([255] * 8) + stored(compressed=True)[208:], "while decompressing data"),
+        (b"garbage", "pickle"),
+    ],
+)
+def test_a_damaged_archive_is_refused_in_a_sentence(
+    content: bytes, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "states.npz").write_bytes(content)
+    keys = ["--scene", BLOCKS, *replay(tmp_path / "states.npz", 1, 2)]
+    assert cli.main(["gen-dataset", "--out", str(tmp_path / "out"), *keys]) == 2
+    said = capsys.readouterr().err
+    assert words in said and "states.npz is not a source of states" in said and said.count("\n") == 1
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_dataset_of_another_model_is_refused(tiny_dataset: Path):
