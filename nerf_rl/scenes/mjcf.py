@@ -89,7 +89,7 @@ class MjcfScene(StructuredScene):
         path: of the file; meshes and textures are found relative to it.
 
     Raises:
-        UserError: there is no such file, or MuJoCo cannot compile it.
+        UserError: there is no such file, MuJoCo cannot compile it, or names in it are not in UTF-8.
     """
 
     def __init__(self, path: str | Path):
@@ -102,6 +102,7 @@ class MjcfScene(StructuredScene):
             model = mujoco.MjModel.from_xml_path(str(path))
         except ValueError as error:
             raise UserError(f"{path} is not a model that MuJoCo compiles: {' '.join(str(error).split())}") from error
+        _require_utf8_names(path, model)
         self.name = str(path)
         self.env = self._env = MjcfEnv(model)
         super().__init__()
@@ -109,6 +110,19 @@ class MjcfScene(StructuredScene):
     def observation(self) -> Float[ndarray, "O"]:
         """Return [qpos, qvel]."""
         return self._env.observe()
+
+
+def _require_utf8_names(path: Path, model: mujoco.MjModel) -> None:
+    """Raise UserError unless all names of a model can be read; MuJoCo takes any bytes, whatever the file declares."""
+    for name in model.names.split(b"\0"):
+        try:
+            name.decode()
+        except UnicodeDecodeError as error:
+            shown = name.decode("latin-1")
+            raise UserError(
+                f"a name in {path}, '{shown}' perhaps, is not in UTF-8, as MuJoCo's names are to be; save the "
+                "file, and those that it includes, as UTF-8"
+            ) from error
 
 
 def _home(model: mujoco.MjModel) -> int | None:

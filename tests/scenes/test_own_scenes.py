@@ -154,6 +154,19 @@ def test_a_file_that_is_no_model_is_answered_with_mujocos_reason(tmp_path: Path)
         make_scene(str(path))
 
 
+def test_a_name_that_is_not_in_utf8_is_told_with_what_to_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    body = '<body name="Tür"><joint type="slide"/><geom size="0.1"/></body>'
+    text = f'<?xml version="1.0" encoding="ISO-8859-1"?><mujoco><worldbody>{body}</worldbody></mujoco>'
+    (tmp_path / "door.xml").write_bytes(text.encode("latin-1"))
+    words = ["gen-dataset", "--scene", str(tmp_path / "door.xml"), "--out", str(tmp_path / "out")]
+    assert cli.main(words) == 2
+    said = capsys.readouterr().err
+    assert f"a name in {tmp_path / 'door.xml'}, 'Tür' perhaps, is not in UTF-8" in said and "as UTF-8" in said
+    assert said.count("\n") == 1 and not (tmp_path / "out").exists()
+    (tmp_path / "door.xml").write_text(text, encoding="utf-8")
+    assert make_scene(str(tmp_path / "door.xml")).model.body(1).name == "Tür"
+
+
 def test_a_model_without_actuators_or_joints_makes_a_dataset(tmp_path: Path):
     path = tmp_path / "still.xml"
     light = '<light pos="0 0 3"/>'
