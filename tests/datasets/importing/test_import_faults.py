@@ -132,6 +132,8 @@ FAULTS = [
     (edit(lambda content: content.update(fl_x=-3.0)), "a focal length is -3"),
     (edit(lambda content: content.update(cx=99.0)), "a principal point, 99, 6, is outside of its picture"),
     (edit(lambda content: content.update(camera_model="OPENCV_FISHEYE")), "its camera model is OPENCV_FISHEYE"),
+    (edit(lambda content: content.update(is_fisheye=True)), "it is marked is_fisheye, and only pictures of pinhole"),
+    (first(is_fisheye=1), "is_fisheye is 1 instead of true or false"),
     (edit(lambda content: content.update(k4=0.1)), "a fourth radial term"),
     (edit(lambda content: content.update(camera=5, mask_path=7, fl_x=11.0)), "camera_0 has other intrinsics than in"),
     (
@@ -175,6 +177,11 @@ def test_a_fault_is_one_sentence_that_names_the_file(
 
 
 def test_the_source_is_good_without_a_fault(source: Path, tmp_path: Path):
+    assert cli.main(["import", str(source), "--out", str(tmp_path / "out")]) == 0
+
+
+def test_a_source_may_say_that_it_is_of_pinhole_cameras(source: Path, tmp_path: Path):
+    edit(lambda content: content.update(is_fisheye=False))(source)
     assert cli.main(["import", str(source), "--out", str(tmp_path / "out")]) == 0
 
 

@@ -22,14 +22,14 @@ from nerf_rl.datasets.importing.picture_files import MOST_PIXELS, picture_size
 from nerf_rl.datasets.importing.source_files import file_inside, read_description
 from nerf_rl.datasets.storage.shards import SPLIT_NAMES
 from nerf_rl.datasets.storage.stored_manifest import LARGEST_IMAGE, MOST_CLASSES, ROLES
-from nerf_rl.files.structure import MOST, array, listing, mapping, number, one_of, text, whole
+from nerf_rl.files.structure import MOST, array, flag, listing, mapping, number, one_of, text, whole
 
 TRANSFORMS = "transforms.json"
 _PINHOLES = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 _USUAL_UNIT = 0.001  # of depth: millimetres
 _FILES = {"depth": "depth_file_path", "labels": "semantic_path", "mask": "mask_path"}
 _CAMERA = dict.fromkeys(("fl_x", "fl_y", "cx", "cy", "w", "h", *COEFFICIENTS), number())
-_CAMERA |= {"camera_model": text(), "depth_unit_scale_factor": number(1e-9, 1e6)}
+_CAMERA |= {"camera_model": text(), "is_fisheye": flag, "depth_unit_scale_factor": number(1e-9, 1e6)}
 _HELD_OUT = ("val_filenames", "test_filenames")
 _COLOUR = array(3, of=whole(0, 255))
 
@@ -130,6 +130,8 @@ def _view(folder: Path, path: Path, entry: Mapping[str, Any], held_out: set[Pure
         raise ValueError(
             f"its camera model is {model}, and only pictures of pinhole cameras ({_PINHOLES[0]}) are taken"
         )
+    if entry.get("is_fisheye"):  # as instant-ngp marks it
+        raise ValueError(f"it is marked is_fisheye, and only pictures of pinhole cameras ({_PINHOLES[0]}) are taken")
     colours = file_inside(folder, entry["file_path"], path)
     height, width = _whole(entry, "h"), _whole(entry, "w")
     if height is None or width is None:
