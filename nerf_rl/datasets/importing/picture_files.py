@@ -3,13 +3,14 @@
 A small file may claim, and truly decode to, a picture of gigabytes, so the size is read from its head first.
 """
 
+import os
 import struct
 import zlib
 from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Bool, UInt8
 from numpy import ndarray
 
 from nerf_rl.datasets.importing.faults import SourceError
@@ -18,6 +19,8 @@ _MOST_BYTES = 1 << 28  # of a file
 MOST_PIXELS = 1 << 26
 """of a picture"""
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
+_PNG_HEAD, _PNG_COLOUR_TYPE, _WITH_ALPHA = 29, 25, (4, 6)  # bytes of signature and header without its checksum
+_MOST_CHUNKS = 1000
 _FRAMES = frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC})  # JPEG's markers with a size
 
 
@@ -29,6 +32,37 @@ def read_colours(path: Path, height: int, width: int) -> UInt8[ndarray, "H W 3"]
     """
     decoded = _decoded(path, height, width, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     return np.ascontiguousarray(decoded[..., ::-1])
+
+
+def has_alpha(path: Path) -> bool:
+    """Tell whether a picture says how opaque its pixels are: PNG files may, of which only the head is read."""
+    with open(path, "rb") as file:
+        head = file.read(_PNG_HEAD)
+        if not head.startswith(_PNG) or len(head) < _PNG_HEAD:
+            return False
+        if head[_PNG_COLOUR_TYPE] in _WITH_ALPHA:
+            return True
+        for _ in range(_MOST_CHUNKS):  # one that gives colours of other pictures an opacity comes before the pixels
+            file.seek(4, os.SEEK_CUR)  # over the checksum of the last one
+            chunk = file.read(8)
+            if len(chunk) < 8 or chunk[4:] == b"IDAT":
+                return False
+            if chunk[4:] == b"tRNS":
+                return True
+            file.seek(struct.unpack(">I", chunk[:4])[0], os.SEEK_CUR)
+    return False
+
+
+def read_opaque(path: Path, height: int, width: int) -> Bool[ndarray, "H W"]:
+    """Tell which pixels of a picture of known size are opaque at least by half.
+
+    Raises:
+        SourceError: it is no such picture.
+    """
+    decoded = _decoded(path, height, width, cv2.IMREAD_UNCHANGED)
+    if decoded.ndim != 3 or decoded.shape[2] != 4:
+        return np.ones((height, width), bool)
+    return decoded[..., 3] > np.iinfo(decoded.dtype).max // 2
 
 
 def read_numbers(path: Path, height: int, width: int, dtype: type) -> ndarray:

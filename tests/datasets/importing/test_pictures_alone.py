@@ -110,6 +110,30 @@ def test_a_scene_that_is_exported_comes_back_with_what_it_had(dataset: MultiView
     np.testing.assert_array_equal(back.read("rgb"), dataset.read("rgb"))
 
 
+@pytest.mark.parametrize("kind", ["rgba", "rgba of 16 bits", "palette"])
+def test_pixels_that_are_transparent_by_more_than_half_do_not_count(tmp_path: Path, kind: str):
+    write_capture(tmp_path / "capture", moments=2)
+    scene = tmp_path / "capture" / "moment_1"
+    alpha = np.tile(np.linspace(0, 255, WIDTH).astype(np.uint8), (HEIGHT, 1))
+    colours = cv2.imread(str(scene / "images" / "b.jpg"))
+    if kind == "palette":
+        indices = pytest.importorskip("PIL.Image").fromarray(colours).quantize(16)
+        alpha = np.where(np.array(indices) < 5, 0, 255)
+        indices.save(scene / "images" / "b.png", transparency=bytes([0] * 5))
+    else:
+        depth = np.uint16 if "16" in kind else np.uint8
+        scale = np.iinfo(depth).max // 255
+        picture = np.dstack([colours, alpha]).astype(depth) * scale
+        cv2.imwrite(str(scene / "images" / "b.png"), picture.astype(depth))
+    description = scene / "transforms.json"
+    description.write_text(description.read_text().replace("images/b.jpg", "images/b.png"))
+    dataset = read(tmp_path / "capture", tmp_path / "data")
+    valid = dataset.read_valid([0, 1])
+    assert valid is not None
+    np.testing.assert_array_equal(valid[1, 1], alpha >= 128)
+    assert valid[0].all() and valid[1, [0, 2]].all() and 0.1 < valid[1, 1].mean() < 0.9
+
+
 @pytest.mark.parametrize("kind", ["pointcloud", "mesh"])
 def test_no_points_are_made_up(
     dataset: MultiViewDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str

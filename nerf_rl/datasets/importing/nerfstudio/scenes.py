@@ -10,7 +10,7 @@ from nerf_rl.datasets.importing.config import NERFSTUDIO, UNKNOWN, ImportConfig
 from nerf_rl.datasets.importing.faults import SourceError
 from nerf_rl.datasets.importing.nerfstudio.lens import shown, unbend
 from nerf_rl.datasets.importing.nerfstudio.transforms import TRANSFORMS, Scene, View, read_scene
-from nerf_rl.datasets.importing.picture_files import read_colours, read_numbers
+from nerf_rl.datasets.importing.picture_files import has_alpha, read_colours, read_numbers, read_opaque
 from nerf_rl.datasets.importing.source import BACKGROUND, NO_COLUMNS, Source, SourceEpisode, SourceFrame, no_values
 from nerf_rl.datasets.importing.source_files import SourceDigest
 from nerf_rl.datasets.storage.stored_manifest import DEPTH, LABELS, STATE
@@ -64,6 +64,7 @@ class ScenesSource(Source):
         self.absent = tuple(kind for kind, there in held.items() if not there)
         bent = any(view.lens is not None for view in first.views)
         self.has_invalid = bent or "mask" in self._kinds or (held[DEPTH] and self._empty_is_unknown)
+        self.has_invalid |= any(has_alpha(view.colours) for scene in scenes for view in scene.views)
         self.episodes = [SourceEpisode(len(group), _split(group)) for group in self._scenes]
         digest = SourceDigest()
         for scene in (scene for group in self._scenes for scene in group):
@@ -101,6 +102,9 @@ class ScenesSource(Source):
         for kind, dtype in (("depth", np.uint16), ("labels", np.uint8), ("mask", np.uint8)):
             if kind in view.others:
                 found[kind] = read_numbers(view.others[kind], *size, dtype)
+        if has_alpha(view.colours):
+            opaque = np.where(read_opaque(view.colours, *size), 255, 0).astype(np.uint8)
+            found["mask"] = np.minimum(found.get("mask", opaque), opaque)
         valid = np.ones(size, bool)
         if view.name in self._maps:
             found = {kind: unbend(picture, self._maps[view.name]) for kind, picture in found.items()}
