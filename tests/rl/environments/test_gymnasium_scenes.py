@@ -131,7 +131,7 @@ def test_what_cannot_be_acted_in_is_told(capsys: pytest.CaptureFixture[str], tmp
     env.action_space = gymnasium.spaces.Box(-np.inf, np.inf, (2,))
     with pytest.raises(UserError, match="actions of Env have no limits"):
         with_unit_actions(env)
-    for space in (gymnasium.spaces.Box(-2, 2, (1,), np.int32), gymnasium.spaces.Box(np.zeros(2), np.array([1.0, 0.0]))):
+    for space in (gymnasium.spaces.Box(-2, 2, (1,), np.int32), gymnasium.spaces.Box(0, np.eye(2, dtype=np.float32)[0])):
         env.action_space = space
         with pytest.raises(UserError, match="actions of Env must be floating-point numbers, each with a low below its"):
             with_unit_actions(env)
