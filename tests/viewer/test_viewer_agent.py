@@ -1,7 +1,6 @@
 """An agent as the viewer shows it."""
 
 import dataclasses
-import json
 import shutil
 from pathlib import Path
 
@@ -10,7 +9,6 @@ import pytest
 import torch
 
 from nerf_rl.rl.agents.ddpg import DDPG
-from nerf_rl.rl.agents.policy_file import encoder_digest
 from nerf_rl.rl.config import LearnerConfig
 from nerf_rl.rl.training.checkpoint import last_checkpoint, load_checkpoint
 from nerf_rl.viewer.pages.agent import Agent
@@ -41,18 +39,6 @@ def test_without_a_checkpoint_there_are_no_values(tiny_agent: Path, tmp_path: Pa
     shutil.copytree(tiny_agent, tmp_path / "agent", ignore=shutil.ignore_patterns("checkpoints"))
     episode = Agent(tmp_path / "agent", "", seed=1, episodes=1).act(0)
     assert episode.values is None and "Q" not in episode.lines()
-
-
-def test_an_agent_on_a_checkpoint_has_the_classes_of_the_encoder_beside_it(
-    agent: Agent, tiny_agent: Path, tiny_encoder: Path, tmp_path: Path
-) -> None:
-    run, checkpoint = tmp_path / "agent", tiny_encoder / "checkpoints" / "last.ckpt"
-    shutil.copytree(tiny_agent, run, ignore=shutil.ignore_patterns("checkpoints", "logs"))
-    policy = json.loads((run / "policy.json").read_text())
-    policy["env"]["encoder"], policy["encoder_digest"] = str(checkpoint), encoder_digest(checkpoint)
-    (run / "policy.json").write_text(json.dumps(policy))
-    on_checkpoint = Agent(run, "", seed=1, episodes=1)
-    assert on_checkpoint.class_names == agent.class_names and len(agent.class_names) == len(on_checkpoint.palette)
 
 
 def test_an_episode_is_acted_once(agent: Agent) -> None:

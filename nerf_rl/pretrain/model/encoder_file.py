@@ -98,7 +98,7 @@ def described_classes(folder: Path) -> tuple[list[str], list[list[int]]]:
     """Return names and colours of the classes that the radiance field beside an encoder tells apart.
 
     Args:
-        folder: of an exported encoder; a checkpoint in it does not name them.
+        folder: of an exported encoder.
 
     Raises:
         MissingFileError: its description does not name them, or there is none.

@@ -71,7 +71,7 @@ class Agent:
             folder, _ = read_description(self.policy.spec.encoder)
             if (folder / "field.json").is_file():
                 self.field = RadianceField.load(folder).requires_grad_(False).to(device)
-                self.class_names, palette = described_classes(folder)  # which a checkpoint in it does not know
+                self.class_names, palette = described_classes(folder)
                 self.palette = np.array(palette, np.uint8)
         self._depth_range: tuple[float, float] | None = None
         self._acted: dict[int, ActedEpisode] = {}
