@@ -83,10 +83,24 @@ class LateSlider(Slider):
         return observation, reward, self.left == 0, False, {} if self.left else {"is_success": True}
 
 
+class AnotherSlider(Slider):
+    """Its cart is of another size in each episode, for which the model is compiled anew; so is the order of bodies."""
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict[str, Any], dict]:
+        xml = self.XML.replace("0.05", f"{0.05 * (1 + (seed or 0))}")
+        if seed:
+            xml = xml.replace('<body name="cart">', '<body name="post" pos="0 0 -9"/><body name="cart">')
+        self.model = mujoco.MjModel.from_xml_string(xml)
+        self.data = mujoco.MjData(self.model)
+        return super().reset(seed=seed, options=options)
+
+
+gymnasium.register("AnotherSlider-v0", entry_point=AnotherSlider, max_episode_steps=20)
 gymnasium.register("Slider-v0", entry_point=Slider, max_episode_steps=20)
 gymnasium.register("NamedGoalSlider-v0", entry_point=NamedGoalSlider, max_episode_steps=20)
 gymnasium.register("LateSlider-v0", entry_point=LateSlider, max_episode_steps=20)
 SLIDER, NAMED_GOAL_SLIDER = "gym/own_environments:Slider-v0", "gym/own_environments:NamedGoalSlider-v0"
+ANOTHER_SLIDER = "gym/own_environments:AnotherSlider-v0"
 LATE_SLIDER = "gym/own_environments:LateSlider-v0"
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from own_environments import ANOTHER_SLIDER
 
 from nerf_rl import cli
 from nerf_rl.cameras.geometry import project
@@ -177,6 +178,15 @@ def test_a_model_without_actuators_or_joints_makes_a_dataset(tmp_path: Path):
     dataset = MultiViewDataset(out)
     assert len(dataset) == 4 and dataset.class_names == ("background", "vase")
     assert (dataset.read("semantic", [0]) == 1).mean() > 0.1
+
+
+def test_a_scene_that_compiles_its_model_anew_makes_no_dataset(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """One renderer, and one list of bodies, would show all episodes as the first one was made."""
+    arguments = ["--episodes", "2", "--frames_per_episode", "2", "--episode_steps", "3", "--size", "16"]
+    words = ["gen-dataset", "--scene", ANOTHER_SLIDER, "--out", str(tmp_path / "data"), "--workers", "1", *arguments]
+    assert cli.main(words) == 1
+    assert "compiles another model in episode 0, and a dataset is of one" in capsys.readouterr().err
+    assert not (tmp_path / "data" / "manifest.json").exists()
 
 
 def test_a_simulation_that_diverges_is_told_and_leaves_nothing(

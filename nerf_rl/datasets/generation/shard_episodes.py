@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import NamedTuple
 
+import mujoco
 import numpy as np
 from numpy import ndarray
 
@@ -30,6 +31,8 @@ class RenderContext(NamedTuple):
     """Everything a worker process needs and makes once."""
 
     scene: Scene
+    model: mujoco.MjModel
+    """of the scene, which the others are made for"""
     behaviour: Behaviour
     renderer: MultiViewRenderer
     rig: Rig
@@ -53,7 +56,7 @@ def open_render_context(config: GenDatasetConfig) -> RenderContext:
     }
     sizes = {"nq": model.nq, "nv": model.nv, "nbody": model.nbody, "nmocap": model.nmocap}
     layout = frame_layout(len(rig.names), config.size, rig.moving, sizes, columns, rig.tracking_frame is not None)
-    return RenderContext(scene, behaviour, renderer, rig, classes, layout)
+    return RenderContext(scene, model, behaviour, renderer, rig, classes, layout)
 
 
 def shard_count(config: GenDatasetConfig) -> int:
@@ -114,7 +117,7 @@ def render_episode(
     """Yield the rows of an episode's frames as they are rendered.
 
     Raises:
-        FailureError: a view shows nothing, or a number is not finite.
+        FailureError: a view shows nothing, a number is not finite, or the scene has another model than before.
     """
     scene, rng = context.scene, np.random.default_rng([config.seed, episode])
     kept = set(rng.choice(config.episode_steps + 1, config.frames_per_episode, replace=False).tolist())
@@ -122,6 +125,11 @@ def render_episode(
     for place, now in enumerate(steps):
         if place not in kept:
             continue
+        if scene.model is not context.model:
+            raise FailureError(
+                f"{scene.name} compiles another model in episode {episode}, and a dataset is of one; let its resets "
+                "change the values of one model instead"
+            )
         shown = scene.render_data()
         poses = context.rig.poses(shown, rng)
         views = context.renderer.render(shown, context.rig.intrinsics, poses)

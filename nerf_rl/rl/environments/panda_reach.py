@@ -83,8 +83,13 @@ class PandaReach(gymnasium.Env):
         self.action_space = Box(-1.0, 1.0, actions, np.float32)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict, dict]:
-        """Start an episode at the neutral pose, with a random goal."""
-        observation, _ = self._simulation.reset(seed=seed)
+        """Start an episode at the neutral pose, with a random goal.
+
+        Without a seed the one before decides it, as Gymnasium has it; panda-gym's own would be of the system's entropy.
+        """
+        super().reset(seed=seed)
+        drawn = int(self.np_random.integers(2**31)) if seed is None else seed
+        observation, _ = self._simulation.reset(seed=drawn)
         return self._observed(observation), {}
 
     def step(self, action: ndarray) -> tuple[dict, float, bool, bool, dict[str, Any]]:

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from own_environments import Slider
+from own_environments import AnotherSlider
 
 from nerf_rl.cameras.geometry import intrinsics_from_fovy, look_at
 from nerf_rl.cameras.rig_config import RigConfig
@@ -110,18 +110,6 @@ def test_cameras_go_with_the_body_that_the_artefact_names():
         env._renderer.close()  # type: ignore[union-attr]
     assert np.abs(seen[0] - seen[1]).mean() < 3.0 < np.abs(seen[2] - seen[3]).mean()
     np.testing.assert_array_equal(seen[0], seen[2])
-
-
-class AnotherSlider(Slider):
-    """Its cart is of another size in each episode, for which the model is compiled anew; so is the order of bodies."""
-
-    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict[str, Any], dict]:
-        xml = self.XML.replace("0.05", f"{0.05 * (1 + (seed or 0))}")
-        if seed:
-            xml = xml.replace('<body name="cart">', '<body name="post" pos="0 0 -9"/><body name="cart">')
-        self.model = mujoco.MjModel.from_xml_string(xml)
-        self.data = mujoco.MjData(self.model)
-        return super().reset(seed=seed, options=options)
 
 
 @pytest.mark.parametrize("frame", [None, TrackingFrame("cart")])

@@ -103,6 +103,20 @@ def test_an_episode_with_the_same_seed_is_the_same() -> None:
     np.testing.assert_array_equal(first, episode())
 
 
+def test_a_seed_decides_the_episodes_after_it_too() -> None:
+    """Where nobody gives another: Stable-Baselines3 seeds the first reset alone."""
+
+    def goals() -> np.ndarray:
+        env, _ = make_env(EnvSpec(PANDA_REACH, None, 1, 6))
+        found = [env.reset(seed=5)[0], env.reset()[0], env.reset()[0]]
+        env.close()
+        return np.stack(found)
+
+    first = goals()
+    assert len(np.unique(first, axis=0)) == 3
+    np.testing.assert_array_equal(first, goals())
+
+
 def test_nothing_is_printed_by_the_simulator(capfd: pytest.CaptureFixture[str]) -> None:
     PandaReach(PandaReachConfig()).close()
     assert capfd.readouterr() == ("", "")
