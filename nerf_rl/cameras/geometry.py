@@ -22,6 +22,11 @@ def intrinsics_from_fovy(fovy_deg: float, height: int, width: int) -> Float[ndar
     return np.array([[focal, 0.0, width / 2.0], [0.0, focal, height / 2.0], [0.0, 0.0, 1.0]])
 
 
+def field_of_view(intrinsics: Float[ndarray, "3 3"], height: int) -> float:
+    """Return the vertical field of view [rad] of K [pixels]."""
+    return float(2.0 * np.arctan(height / (2.0 * intrinsics[1, 1])))
+
+
 def look_at(
     lookat: Float[ndarray, "3"], distance: float, azimuth_deg: float, elevation_deg: float
 ) -> Float[ndarray, "4 4"]:

@@ -5,8 +5,7 @@ from pathlib import Path
 
 from nerf_rl.datasets.storage.shards import UNFINISHED
 from nerf_rl.errors import MissingFileError
-from nerf_rl.files.json_files import read_json
-from nerf_rl.files.outputs import PROVENANCE, SUMMARY
+from nerf_rl.files.outputs import PROVENANCE, SUMMARY, command_of
 from nerf_rl.pretrain.model.encoder_file import DESCRIPTION
 from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION
 
@@ -52,9 +51,8 @@ def _told_by_other_files(folder: Path) -> str:
     seeds = sorted(folder.glob(f"seed-*/{POLICY_DESCRIPTION}"))
     if seeds:
         return f"it holds runs of several seeds; give the folder of one, such as {seeds[0].parent}"
-    try:
-        command = read_json(folder / PROVENANCE)["command"]
-    except (OSError, ValueError, LookupError, TypeError):
+    command = command_of(folder)
+    if command is None:
         return f"its {PROVENANCE} is damaged"
     if (folder / SUMMARY).is_file():
         return f"it is a finished run of {command}"

@@ -14,7 +14,13 @@ from numpy import ndarray
 from torch import Tensor
 from torch.nn import functional as F
 
-from nerf_rl.cameras.geometry import camera_position, intrinsics_from_fovy, pixel_centres, pixel_directions
+from nerf_rl.cameras.geometry import (
+    camera_position,
+    field_of_view,
+    intrinsics_from_fovy,
+    pixel_centres,
+    pixel_directions,
+)
 from nerf_rl.machine.cores import usable_cores
 from nerf_rl.pretrain.model.conditioned_field import ConditionedField
 from nerf_rl.pretrain.model.ray_rendering import RenderedImages
@@ -54,7 +60,7 @@ class FreeCamera:
         cls, intrinsics: Float[ndarray, "3 3"], camera_from_world: Float[ndarray, "4 4"], height: int, width: int
     ) -> "FreeCamera":
         """Return the camera of a picture, whose K [pixels] need not be centred, as those of real cameras are not."""
-        fovy = float(2.0 * np.arctan(height / (2.0 * intrinsics[1, 1])))
+        fovy = field_of_view(intrinsics, height)
         return cls(camera_from_world, fovy, width / height, intrinsics / np.array([[width], [height], [1.0]]))
 
     def shape(self, longer: int) -> tuple[int, int]:

@@ -6,7 +6,7 @@ import numpy as np
 import viser
 import viser.uplot
 
-from nerf_rl.cameras.geometry import camera_position
+from nerf_rl.cameras.geometry import camera_position, field_of_view
 from nerf_rl.datasets.storage.frames import EpisodeColumns
 from nerf_rl.rl.config import EYES_OF_CONTROLS, NO_CONTROL
 from nerf_rl.viewer.field.field_panel import FieldPanel
@@ -15,7 +15,7 @@ from nerf_rl.viewer.node_names import node_name
 from nerf_rl.viewer.pages.agent import ActedEpisode, Agent
 from nerf_rl.viewer.pages.agent_pictures import decode_views, draw_decoded, learning_charts
 from nerf_rl.viewer.panels.columns_panel import ColumnsPanel
-from nerf_rl.viewer.panels.scene_panel import field_of_view, frustum_pose, look_through
+from nerf_rl.viewer.panels.scene_panel import frustum_pose, look_through
 from nerf_rl.viewer.playback import Playback
 
 

@@ -8,7 +8,7 @@ import viser.transforms as vtf
 from jaxtyping import Float
 from numpy import ndarray
 
-from nerf_rl.cameras.geometry import camera_position
+from nerf_rl.cameras.geometry import camera_position, field_of_view
 from nerf_rl.datasets.storage.frames import Frame
 from nerf_rl.datasets.storage.point_cloud import COLOURINGS, PointCloud, fuse_views
 from nerf_rl.datasets.storage.reader import MultiViewDataset
@@ -137,11 +137,6 @@ def _colourings(absent: tuple[str, ...]) -> list[str]:
     """Return what the points of a dataset may be coloured by; without depth there are none."""
     known = [name for name in COLOURINGS if name != "semantic" or LABELS not in absent]
     return [] if DEPTH in absent else known
-
-
-def field_of_view(intrinsics: np.ndarray, height: int) -> float:
-    """Return the vertical field of view [rad] of K [pixels]."""
-    return float(2.0 * np.arctan(height / (2.0 * intrinsics[1, 1])))
 
 
 def frustum_pose(camera_from_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
