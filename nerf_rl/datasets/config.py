@@ -83,6 +83,8 @@ class GenDatasetConfig:
     """how episodes are acted"""
     classes: list[ClassConfig] = field(default_factory=list)
     """semantic classes by pattern, tried in order before the automatic ones"""
+    robot_links: bool = False
+    """make each link of a robot that moves by a joint of its own a class by its name, instead of one class robot"""
     validation_fraction: ShareBelowOne = 0.1
     """share of episodes held out for validation"""
     episodes_per_shard: Count = 50

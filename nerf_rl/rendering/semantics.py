@@ -32,7 +32,9 @@ class SemanticClasses:
         return self.geom_class[geom]
 
 
-def semantic_classes(model: mujoco.MjModel, parts: BodyParts, patterns: Sequence[ClassConfig] = ()) -> SemanticClasses:
+def semantic_classes(
+    model: mujoco.MjModel, parts: BodyParts, patterns: Sequence[ClassConfig] = (), robot_links: bool = False
+) -> SemanticClasses:
     """Sort the geoms of a model into classes.
 
     The first pattern found in a geom's path decides. Otherwise geoms below a gripper are *gripper*, others below a
@@ -44,12 +46,13 @@ def semantic_classes(model: mujoco.MjModel, parts: BodyParts, patterns: Sequence
         model: compiled.
         parts: which bodies are robots, grippers and surroundings.
         patterns: classes by pattern.
+        robot_links: a robot's bodies that move by joints of their own are classes like any other body.
 
     Raises:
         UserError: a pattern is no regular expression or matches no geom, or there are more than 255 classes.
     """
     expressions = [_compile(pattern) for pattern in patterns]
-    automatic = _AutomaticClasses(model, parts)
+    automatic = _AutomaticClasses(model, parts, robot_links)
     names = [BACKGROUND]
     geom_class = np.zeros(model.ngeom + 1, np.uint8)
     matched = set()
@@ -104,8 +107,8 @@ def _compile(pattern: ClassConfig) -> re.Pattern[str]:
 class _AutomaticClasses:
     """Names the class of a body by where it stands in the tree."""
 
-    def __init__(self, model: mujoco.MjModel, parts: BodyParts):
-        self._model, self._parts = model, parts
+    def __init__(self, model: mujoco.MjModel, parts: BodyParts, robot_links: bool):
+        self._model, self._parts, self._robot_links = model, parts, robot_links
         self._movable = {int(model.body_rootid[body]) for body in range(1, model.nbody) if model.body_jntnum[body]}
         drawn = {int(model.geom_bodyid[geom]) for geom in range(model.ngeom) if is_drawn(model, geom)}
         self._seen = {int(model.body_rootid[body]) for body in drawn}
@@ -114,14 +117,16 @@ class _AutomaticClasses:
         """Return the name of a body's class."""
         model, root = self._model, int(self._model.body_rootid[body])
         links = chain(model, body)
+        moved_by = [link for link in links if model.body_jntnum[link]][:1]
         if set(links) & set(self._parts.gripper):
             return "gripper"
         if set(links) & set(self._parts.robot):
+            if self._robot_links and moved_by:
+                return self._first_name(moved_by) or f"link_{moved_by[0]}"
             return "robot"
         if not body or root in self._parts.surroundings:
             return BACKGROUND
         if root in self._movable:
-            moved_by = [link for link in links if model.body_jntnum[link]][:1]
             return self._first_name([*moved_by, *links]) or f"object_{root}"
         if root not in self._seen or model.body_mocapid[root] >= 0:
             return BACKGROUND

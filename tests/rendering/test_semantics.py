@@ -41,9 +41,11 @@ def parts(model: mujoco.MjModel) -> BodyParts:
     return named_parts(model, "base", "hand", ("table",))
 
 
-def class_of(model: mujoco.MjModel, parts: BodyParts, patterns: Sequence[ClassConfig] = ()) -> dict[str, str]:
+def class_of(
+    model: mujoco.MjModel, parts: BodyParts, patterns: Sequence[ClassConfig] = (), robot_links: bool = False
+) -> dict[str, str]:
     """Return the class name of each geom path."""
-    classes = semantic_classes(model, parts, patterns)
+    classes = semantic_classes(model, parts, patterns, robot_links)
     return {geom_path(model, geom): classes.names[classes.geom_class[geom]] for geom in range(model.ngeom)}
 
 
@@ -60,6 +62,33 @@ def test_classes_follow_from_the_body_tree(cabinet: mujoco.MjModel):
         "base/arm/link": "robot",
         "base/arm/hand/palm": "gripper",
     }
+
+
+def test_links_of_a_robot_that_move_are_classes_if_they_are_told_apart(cabinet: mujoco.MjModel):
+    before, after = (class_of(cabinet, parts(cabinet), robot_links=told) for told in (False, True))
+    assert {path: name for path, name in after.items() if name != before[path]} == {"base/arm/link": "arm"}
+
+
+def test_a_link_without_a_name_is_called_by_its_number_and_what_is_fixed_to_it_belongs_to_it():
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><body name="torso"><freejoint/><geom name="trunk" size="0.1"/>
+        <body name="hip"><geom name="side" size="0.1"/>
+          <body><joint name="knee"/><geom name="shin" size="0.1"/>
+            <body name="sole"><geom name="foot" size="0.1"/></body></body></body></body></worldbody>
+        <actuator><motor joint="knee"/></actuator></mujoco>"""
+    )
+    names = class_of(model, find_parts(model), robot_links=True)
+    assert {path.rpartition("/")[2]: name for path, name in names.items()} == {
+        "trunk": "torso",
+        "side": "torso",
+        "shin": "link_3",
+        "foot": "link_3",
+    }
+
+
+def test_patterns_come_before_links(cabinet: mujoco.MjModel):
+    patterns = [ClassConfig("robot", "^base/arm/link")]
+    assert class_of(cabinet, parts(cabinet), patterns, robot_links=True)["base/arm/link"] == "robot"
 
 
 def test_drawer_open_has_robot_gripper_case_and_drawer(drawer_open: Scene):

@@ -46,7 +46,7 @@ def open_render_context(config: GenDatasetConfig) -> RenderContext:
     rig = make_rig(config.rig, config.size, scene)
     model = scene.model
     behaviour = Behaviour(scene, config.behaviour, config.episode_steps)
-    classes = semantic_classes(model, scene.parts, config.classes)
+    classes = semantic_classes(model, scene.parts, config.classes, config.robot_links)
     pixels_per_metre = rig.pixels_per_metre(scene.render_data())
     renderer = MultiViewRenderer(model, config.size, config.size, len(rig.names), config.quality, pixels_per_metre)
     columns = {
