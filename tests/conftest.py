@@ -8,7 +8,7 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # there is a test on each core: their threads would wait for each other
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # where a test asks for threads, they wait without using the cores
 
-import annotations  # noqa: F401  before anything of the package, whose annotations it makes cheaper to check
+import annotations  # before anything of the package, whose annotations it makes cheaper to check
 import lightning  # noqa: F401  before anything renders: Triton, which it loads, crashes after software OpenGL's LLVM
 import pytest
 import torch
@@ -23,11 +23,21 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # started in the backgrou
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+if not torch.cuda.is_available():  # Lightning has every step of an optimiser ask for that, by opening a library
+    os.environ["PYTORCH_NVML_BASED_CUDA_CHECK"] = "0"
+
+
 @pytest.fixture(autouse=True)
 def one_thread() -> Iterator[None]:
     """Take back the threads that a command has asked PyTorch for."""
     yield
     torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
+
+
+@pytest.fixture(autouse=True)
+def checked_anew() -> None:
+    """Have annotations checked in each test's first calls."""
+    annotations.check_anew()
 
 
 @pytest.fixture(scope="session", autouse=True)

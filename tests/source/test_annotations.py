@@ -1,5 +1,6 @@
 """What annotations say is checked in tests, whether there are arrays in them or not."""
 
+import contextlib
 from collections.abc import Callable, Iterator
 from typing import Any, Literal
 
@@ -7,7 +8,7 @@ import beartype
 import jaxtyping
 import numpy as np
 import pytest
-from annotations import has_arrays
+from annotations import CHECKED_CALLS, check_anew, has_arrays
 from jaxtyping import Float
 from numpy import ndarray
 
@@ -59,3 +60,20 @@ def test_a_function_without_arrays_returns_what_it_says():
     assert count(3) == 3
     with pytest.raises(beartype.roar.BeartypeCallHintViolation, match="count"):
         count("three")
+
+
+def test_a_function_that_is_called_often_is_checked_at_first_and_now_and_then():
+    @jaxtyping.jaxtyped(typechecker=beartype.beartype)
+    def count(said: Any) -> int:
+        return said
+
+    def is_checked() -> bool:
+        with contextlib.suppress(beartype.roar.BeartypeCallHintViolation):
+            count("three")
+            return False
+        return True
+
+    found = [is_checked() for _ in range(2 * CHECKED_CALLS)]
+    assert all(found[:CHECKED_CALLS]) and found[-1] and not any(found[CHECKED_CALLS:-1])
+    check_anew()
+    assert is_checked()
