@@ -9,7 +9,7 @@ from nerf_rl.arguments.limits import Count, Limits, Processes, Seed, ShareBelowO
 from nerf_rl.cameras.rig_config import RigConfig
 from nerf_rl.errors import UserError
 from nerf_rl.machine.backends import check_backend
-from nerf_rl.rendering.class_config import ClassConfig
+from nerf_rl.rendering.class_config import ClassConfig, RobotLinks
 from nerf_rl.rendering.quality import Quality
 
 MOST_PIXELS, MOST_SHARDS = 4096, 10**6
@@ -83,8 +83,9 @@ class GenDatasetConfig:
     """how episodes are acted"""
     classes: list[ClassConfig] = field(default_factory=list)
     """semantic classes by pattern, tried in order before the automatic ones"""
-    robot_links: bool = False
-    """make each link of a robot that moves by a joint of its own a class by its name, instead of one class robot"""
+    robot_links: RobotLinks = "together"
+    """together: a robot is one class beside its gripper; apart: each of its links that moves by a joint of its own is a
+    class by its name; apart_if_alone: so it is where nothing moves but robots without a gripper"""
     validation_fraction: ShareBelowOne = 0.1
     """share of episodes held out for validation"""
     episodes_per_shard: Count = 50

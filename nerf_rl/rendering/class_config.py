@@ -1,6 +1,11 @@
 """How a user sorts what is seen into classes; importing this module loads nothing heavy."""
 
 from dataclasses import dataclass
+from typing import Literal
+
+RobotLinks = Literal["together", "apart", "apart_if_alone"]
+"""``together``: a robot is one class beside its gripper; ``apart``: each of its links that moves by a joint of its own is
+one; ``apart_if_alone``: so it is where nothing moves but robots without a gripper"""
 
 
 @dataclass

@@ -11,7 +11,7 @@ from jaxtyping import Int, UInt8
 from numpy import ndarray
 
 from nerf_rl.errors import UserError
-from nerf_rl.rendering.class_config import ClassConfig
+from nerf_rl.rendering.class_config import ClassConfig, RobotLinks
 from nerf_rl.scenes.body_parts import BodyParts, chain
 from nerf_rl.scenes.workspace import is_drawn
 
@@ -33,7 +33,10 @@ class SemanticClasses:
 
 
 def semantic_classes(
-    model: mujoco.MjModel, parts: BodyParts, patterns: Sequence[ClassConfig] = (), robot_links: bool = False
+    model: mujoco.MjModel,
+    parts: BodyParts,
+    patterns: Sequence[ClassConfig] = (),
+    robot_links: RobotLinks = "together",
 ) -> SemanticClasses:
     """Sort the geoms of a model into classes.
 
@@ -46,7 +49,8 @@ def semantic_classes(
         model: compiled.
         parts: which bodies are robots, grippers and surroundings.
         patterns: classes by pattern.
-        robot_links: a robot's bodies that move by joints of their own are classes like any other body.
+        robot_links: ``apart``: a robot's bodies that move by joints of their own are classes, like any other body;
+            ``apart_if_alone``: only where nothing moves but robots, and they have no gripper.
 
     Raises:
         UserError: a pattern is no regular expression or matches no geom, or there are more than 255 classes.
@@ -107,11 +111,14 @@ def _compile(pattern: ClassConfig) -> re.Pattern[str]:
 class _AutomaticClasses:
     """Names the class of a body by where it stands in the tree."""
 
-    def __init__(self, model: mujoco.MjModel, parts: BodyParts, robot_links: bool):
-        self._model, self._parts, self._robot_links = model, parts, robot_links
+    def __init__(self, model: mujoco.MjModel, parts: BodyParts, robot_links: RobotLinks):
+        self._model, self._parts = model, parts
         self._movable = {int(model.body_rootid[body]) for body in range(1, model.nbody) if model.body_jntnum[body]}
         drawn = {int(model.geom_bodyid[geom]) for geom in range(model.ngeom) if is_drawn(model, geom)}
         self._seen = {int(model.body_rootid[body]) for body in drawn}
+        self._with_geoms = {model.body(int(body)).name for body in model.geom_bodyid}
+        alone = self._movable <= set(parts.robot) and not parts.gripper
+        self._links_apart = robot_links == "apart" or (robot_links == "apart_if_alone" and alone)
 
     def name(self, body: int) -> str:
         """Return the name of a body's class."""
@@ -121,7 +128,7 @@ class _AutomaticClasses:
         if set(links) & set(self._parts.gripper):
             return "gripper"
         if set(links) & set(self._parts.robot):
-            if self._robot_links and moved_by:
+            if self._links_apart and moved_by:
                 return self._first_name(moved_by) or f"link_{moved_by[0]}"
             return "robot"
         if not body or root in self._parts.surroundings:
@@ -133,5 +140,8 @@ class _AutomaticClasses:
         return self._first_name(links[::-1]) or f"fixture_{root}"
 
     def _first_name(self, links: list[int]) -> str:
+        """Return the first name of some bodies, without a last ``_link``, unless another body is called so."""
         names = (self._model.body(link).name for link in links)
-        return next((name for name in names if name), "").removesuffix("_link")
+        name = next((name for name in names if name), "")
+        short = name.removesuffix("_link")
+        return name if short in self._with_geoms else short

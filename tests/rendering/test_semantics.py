@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from nerf_rl.errors import UserError
-from nerf_rl.rendering.class_config import ClassConfig
+from nerf_rl.rendering.class_config import ClassConfig, RobotLinks
 from nerf_rl.rendering.semantics import geom_path, palette, semantic_classes
 from nerf_rl.scenes.base import Scene
 from nerf_rl.scenes.body_parts import BodyParts, find_parts, named_parts
@@ -42,7 +42,7 @@ def parts(model: mujoco.MjModel) -> BodyParts:
 
 
 def class_of(
-    model: mujoco.MjModel, parts: BodyParts, patterns: Sequence[ClassConfig] = (), robot_links: bool = False
+    model: mujoco.MjModel, parts: BodyParts, patterns: Sequence[ClassConfig] = (), robot_links: RobotLinks = "together"
 ) -> dict[str, str]:
     """Return the class name of each geom path."""
     classes = semantic_classes(model, parts, patterns, robot_links)
@@ -65,30 +65,62 @@ def test_classes_follow_from_the_body_tree(cabinet: mujoco.MjModel):
 
 
 def test_links_of_a_robot_that_move_are_classes_if_they_are_told_apart(cabinet: mujoco.MjModel):
-    before, after = (class_of(cabinet, parts(cabinet), robot_links=told) for told in (False, True))
+    before, after = class_of(cabinet, parts(cabinet)), class_of(cabinet, parts(cabinet), robot_links="apart")
     assert {path: name for path, name in after.items() if name != before[path]} == {"base/arm/link": "arm"}
+    assert class_of(cabinet, parts(cabinet), robot_links="apart_if_alone") == before
 
 
-def test_a_link_without_a_name_is_called_by_its_number_and_what_is_fixed_to_it_belongs_to_it():
-    model = mujoco.MjModel.from_xml_string(
-        """<mujoco><worldbody><body name="torso"><freejoint/><geom name="trunk" size="0.1"/>
-        <body name="hip"><geom name="side" size="0.1"/>
-          <body><joint name="knee"/><geom name="shin" size="0.1"/>
-            <body name="sole"><geom name="foot" size="0.1"/></body></body></body></body></worldbody>
-        <actuator><motor joint="knee"/></actuator></mujoco>"""
-    )
-    names = class_of(model, find_parts(model), robot_links=True)
-    assert {path.rpartition("/")[2]: name for path, name in names.items()} == {
-        "trunk": "torso",
-        "side": "torso",
-        "shin": "link_3",
-        "foot": "link_3",
+WALKER = """
+<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1"/>
+  <body name="torso"><freejoint/><geom name="trunk" size="0.1"/>
+    <body name="hip"><geom name="side" size="0.1"/>
+      <body><joint name="knee"/><geom name="shin" size="0.1"/>
+        <body name="{end}"><geom name="foot" size="0.1"/></body></body></body></body>
+  {thing}
+</worldbody><actuator><motor joint="knee"/></actuator></mujoco>
+"""
+BALL = '<body name="ball"><freejoint/><geom name="hide" size="0.1"/></body>'
+POST = '<body name="post"><geom name="wood" size="0.1"/></body>'
+TOLD_APART = {"trunk": "torso", "side": "torso", "shin": "link_3", "foot": "link_3"}
+AS_ONE = dict.fromkeys(TOLD_APART, "robot")
+
+
+@pytest.mark.parametrize(
+    "end, thing, links, expected",
+    [
+        ("sole", "", "apart_if_alone", TOLD_APART),
+        ("sole", "", "together", AS_ONE),
+        ("sole", POST, "apart_if_alone", TOLD_APART | {"wood": "post"}),
+        ("sole", BALL, "apart_if_alone", AS_ONE | {"hide": "ball"}),
+        ("sole", BALL, "apart", TOLD_APART | {"hide": "ball"}),
+        ("hand", "", "apart_if_alone", AS_ONE | {"foot": "gripper"}),
+    ],
+)
+def test_links_are_told_apart_where_nothing_moves_but_a_robot_without_a_gripper(
+    end: str, thing: str, links: RobotLinks, expected: dict[str, str]
+):
+    model = mujoco.MjModel.from_xml_string(WALKER.format(end=end, thing=thing))
+    names = {
+        path.rpartition("/")[2]: name for path, name in class_of(model, find_parts(model), robot_links=links).items()
     }
+    assert names == {"floor": "background", **expected}
+
+
+def test_a_cup_and_a_cup_link_are_two_things():
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><body name="cup"><freejoint/><geom name="a" size="0.1"/></body>
+        <body name="cup_link"><freejoint/><geom name="b" size="0.1"/></body>
+        <body name="pan_link"><freejoint/><geom name="c" size="0.1"/></body>
+        <body name="tray"><body name="tray_link"><joint/><geom name="d" size="0.1"/></body></body>
+        </worldbody></mujoco>"""
+    )
+    names = class_of(model, BodyParts())
+    assert names == {"cup/a": "cup", "cup_link/b": "cup_link", "pan_link/c": "pan", "tray/tray_link/d": "tray"}
 
 
 def test_patterns_come_before_links(cabinet: mujoco.MjModel):
     patterns = [ClassConfig("robot", "^base/arm/link")]
-    assert class_of(cabinet, parts(cabinet), patterns, robot_links=True)["base/arm/link"] == "robot"
+    assert class_of(cabinet, parts(cabinet), patterns, robot_links="apart")["base/arm/link"] == "robot"
 
 
 def test_drawer_open_has_robot_gripper_case_and_drawer(drawer_open: Scene):
