@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 RobotLinks = Literal["together", "apart", "apart_if_alone"]
-"""``together``: a robot is one class beside its gripper; ``apart``: each of its links that moves by a joint of its own is
-one; ``apart_if_alone``: so it is where nothing moves but robots without a gripper"""
+"""``together``: a robot is one class beside its gripper; ``apart``: each of its links that moves by a joint of its own
+is one; ``apart_if_alone``: so it is where nothing moves but robots without a gripper"""
 
 
 @dataclass
