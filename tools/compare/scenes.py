@@ -5,10 +5,12 @@ Run from a checkout's root; what is finished is not done again:
     .venv/bin/python -m tools.compare.scenes gym/Reacher-v5 gym/Pusher-v5
     .venv/bin/python -m tools.compare.scenes gym/gymnasium_robotics:FetchReach-v4 --recipe rl/gym-goal.yaml \
         --agents state --seeds 0..4
+    .venv/bin/python -m tools.compare.scenes gym/HalfCheetah-v5 --agents --robot_links together --encoder_seed 1
 
 Each scene gets a dataset and an encoder by the shipped recipes, the encoder as many steps as that of the demo. Agents
 learn from its latents, from the true state and blind, with the same recipe and seeds; a policy that acts at random
-tells what a return is worth. Without agents (an empty --agents), the encoder is all that is made and probed.
+tells what a return is worth. Without agents (an empty --agents), the encoder is all that is made and probed, beside
+those of other labels and seeds.
 """
 
 import argparse
@@ -21,12 +23,15 @@ import numpy as np
 import yaml
 from numpy import ndarray
 
+from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.files.versions import git_revision, package_versions, processor
+from nerf_rl.rendering.semantics import semantic_classes
 from nerf_rl.rl.environments.make import EnvSpec, make_vector_env
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes
 from nerf_rl.rl.training.evaluation_results import SUCCESS
+from nerf_rl.scenes.make import make_scene
 from tools.page_tables import AGENTS_PAGE, markdown_table, write_tables
 
 RESULT = Path("rl/results/scenes.json")
@@ -46,29 +51,40 @@ def main() -> None:
     parser.add_argument("--recipe", default=AGENT_RECIPE, help="of the agents")
     parser.add_argument("--agents", nargs="*", choices=EYES, default=list(EYES))
     parser.add_argument("--seeds", default="0..2", help="as train-rl takes them")
+    parser.add_argument("--robot_links", help="of the dataset, if it is not the recipe's")
+    parser.add_argument("--encoder_seed", type=int, default=0, help="of the dataset and the encoder")
     parser.add_argument("--work", type=Path, default=Path("data/scenes"), help="folder of datasets and runs")
     arguments = parser.parse_args()
     for scene in arguments.scenes:
-        row = {"scene": scene, "recipe": arguments.recipe, **run(scene, arguments)}
+        row = {"scene": scene, "recipe": arguments.recipe, "seed": arguments.encoder_seed, **run(scene, arguments)}
         row |= {"git_revision": git_revision(), "packages": package_versions(), "processor": processor()}
         known = read_json(RESULT)["scenes"] if RESULT.exists() else []
-        rows = sorted([*(other for other in known if other["scene"] != scene), row], key=lambda row: row["scene"])
+        rows = sorted([*(other for other in known if which(other) != which(row)), row], key=which)
         command = "python -m tools.compare.scenes SCENES --recipe RECIPE --agents AGENTS --seeds SEEDS"
+        command += " --robot_links LINKS --encoder_seed SEED"
         write_json(RESULT, {"command": command, "recipes": [DATASET_RECIPE, ENCODER_RECIPE], "scenes": rows})
         tables = {"scenes": agents_table(rows), "scene-probes": probes_table(rows)}
         write_tables(AGENTS_PAGE, tables)
 
 
+def which(row: dict[str, Any]) -> tuple[str, str, int]:
+    """Return what a row is of; another one of the same takes its place."""
+    return row["scene"], row.get("robot_links", ""), row["seed"]
+
+
 def run(scene: str, arguments: argparse.Namespace) -> dict[str, Any]:
     """Render and pretrain, if an agent is to see, and train; return the figures."""
-    work = arguments.work / scene.replace("/", "-").replace(":", "-")
+    seed = str(arguments.encoder_seed)
+    links = ["--robot_links", arguments.robot_links] if arguments.robot_links else []
+    work = arguments.work / "-".join([scene.replace("/", "-").replace(":", "-"), *links[1:], seed])
     data, encoder = work / "data", work / "encoder"
     found: dict[str, Any] = {"seconds": {}, "agents": {}, "random": random_policy(scene, arguments.recipe)}
     if not arguments.agents or any(EYES[sees] for sees in arguments.agents):
-        keys = ["--config", DATASET_RECIPE, "--scene", scene, "--out", str(data), "--resume", "true"]
-        command(data, "gen-dataset", *keys)
-        keys = ["--config", ENCODER_RECIPE, "--data", str(data), "--out", str(encoder), "--steps", ENCODER_STEPS]
-        command(encoder, "pretrain", *keys)
+        keys = ["--config", DATASET_RECIPE, "--scene", scene, *links, "--seed", seed]
+        command(data, "gen-dataset", *keys, "--out", str(data), "--resume", "true")
+        keys = ["--config", ENCODER_RECIPE, "--data", str(data), "--steps", ENCODER_STEPS, "--seed", seed]
+        command(encoder, "pretrain", *keys, "--out", str(encoder), "--resume", "true")
+        found["robot_links"] = links_in(MultiViewDataset(data), scene)
         found["seconds"] = {stage.name: read_json(stage / SUMMARY)["seconds"] for stage in (data, encoder)}
         found |= {name: read_json(encoder / SUMMARY)[name] for name in PROBES}
     for sees in arguments.agents:
@@ -77,6 +93,13 @@ def run(scene: str, arguments: argparse.Namespace) -> dict[str, Any]:
         command(out, "train-rl", "--config", arguments.recipe, *keys)
         found["agents"][sees] = read_json(out / SUMMARY)
     return found
+
+
+def links_in(dataset: MultiViewDataset, scene: str) -> str:
+    """Return whether a robot is one class in a dataset, or its links are, whatever was asked for."""
+    simulated = make_scene(scene)
+    names = semantic_classes(simulated.model, simulated.parts).names
+    return "together" if dataset.class_names == names else "apart"
 
 
 def random_policy(scene: str, recipe: str) -> dict[str, Any]:
@@ -117,15 +140,19 @@ def agents_table(rows: list[dict[str, Any]]) -> str:
 
 
 def probes_table(rows: list[dict[str, Any]]) -> str:
-    """Return a row for each encoder: what share of the joints' variance is read from its latents, and untrained."""
-    header = ["scene", "R², linear", "R², small network", "its least joint, linear", "untrained encoder, linear"]
+    """Return a row for each encoder: the joints' variance that is read from latents, and how far off positions are."""
+    header = ["scene", "robot's links", "seed", "joints: R², linear", "small network", "least joint, linear"]
+    header += ["untrained encoder, linear", "positions: RMSE, mean of columns [mm]", "median"]
     lines = []
     for row in (row for row in rows if PROBES[0] in row):
         trained, untrained = (list(row[name].values()) for name in PROBES[2:])
         linear = [each["r2"] for each in trained]
         means = [np.mean(linear), np.mean([each["network_r2"] for each in trained]), min(linear)]
         means += [np.mean([each["r2"] for each in untrained])]
-        lines.append([f"`{row['scene']}`", *(f"{value:.2f}" for value in means)])
+        positions = row[PROBES[0]].values()
+        off = [np.mean([each[name] for each in positions]) for name in ("rmse_mm", "median_mm")]
+        told = [*(f"{value:.2f}" for value in means), *(f"{value:.1f}" for value in off)]
+        lines.append([f"`{row['scene']}`", row["robot_links"], row["seed"], *told])
     return markdown_table(header, lines)
 
 
