@@ -9,7 +9,7 @@ from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.shards import SPLIT_NAMES
 from nerf_rl.errors import UserError
 from nerf_rl.files.json_files import write_json
-from nerf_rl.files.outputs import SUMMARY, prepare_output, require_outside, write_provenance
+from nerf_rl.files.outputs import SUMMARY, check_output, prepare_output, require_outside, write_provenance
 from nerf_rl.loggers import require_loggers
 from nerf_rl.machine.memory import peak_rss_mb
 from nerf_rl.machine.threads import wait_passively
@@ -27,7 +27,7 @@ def pretrain(config: PretrainConfig) -> None:
 
     Raises:
         UserError: no dataset, too few frames, cameras that do not move together, depth or labels that an imported
-            dataset lacks, devices that there are not, or an output folder in use.
+            dataset lacks, nothing to learn from, devices that there are not, or an output folder in use.
     """
     dataset = MultiViewDataset(config.data)
     if min(len(dataset.split(name)) for name in SPLIT_NAMES) < 2:  # probes need two
@@ -49,6 +49,11 @@ def pretrain(config: PretrainConfig) -> None:
         if config.resume and resumable:
             require_same_keys(folder, config.content(), PretrainConfig)
         require_outside(folder, config.data)
+        check_output(folder, config.overwrite, config.resume, resumable, "pretrain")
+        if not (config.resume and resumable):
+            from nerf_rl.pretrain.data.learnable import require_learnable  # it imports PyTorch
+
+            require_learnable(dataset, config)
         prepare_output(folder, config.overwrite, config.resume, resumable, "pretrain")
         write_provenance(folder, "pretrain", config)
         print(f"training on {len(dataset)} frames of {config.data}; writing to {folder}", flush=True)

@@ -5,6 +5,7 @@ import dataclasses
 import itertools
 import json
 import math
+import shutil
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +21,8 @@ from nerf_rl import cli
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.metrics import psnr_db
 from nerf_rl.pretrain.config import PretrainConfig, SamplingConfig
+from nerf_rl.pretrain.data import learnable, statistics
+from nerf_rl.pretrain.data.anchors import Anchors
 from nerf_rl.pretrain.data.batches import RayBatches
 from nerf_rl.pretrain.data.statistics import measure
 from nerf_rl.pretrain.measures.figures import describe_iou
@@ -206,6 +209,36 @@ def test_an_existing_run_is_refused_and_left_alone(
     assert pretrain(tiny_pretraining_recipe, tiny_dataset, tiny_encoder) == 2
     assert "already exists and is not empty; use --resume true, --overwrite true" in capsys.readouterr().err
     assert {path: path.stat().st_mtime_ns for path in tiny_encoder.rglob("*")} == before
+
+
+@pytest.mark.parametrize(
+    "keys, reason",
+    [
+        (["--sampling.far", "0.01"], "sampling needs 0 < near < far"),
+        (["--sampling.near", "0.001", "--sampling.far", "0.01"], "nothing is nearer than --sampling.far 0.010"),
+        (["--objective", "anchors", "--losses.anchor", "0"], "shows no class that moves"),
+        (["--objective", "supervised"], "no column of the true state"),
+    ],
+)
+def test_what_cannot_be_learnt_from_costs_no_run_that_it_would_replace(
+    tiny_encoder: Path,
+    tiny_dataset: Path,
+    tiny_pretraining_recipe: Path,
+    tmp_path: Path,
+    keys: list[str],
+    reason: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    monkeypatch.setattr(statistics, "choose_anchors", lambda *_: Anchors.of_nothing())
+    monkeypatch.setattr(learnable, "standardised_state", lambda _: ([], np.zeros(0), np.zeros(0)))
+    run = shutil.copytree(tiny_encoder, tmp_path / "run")
+    before = sorted(run.rglob("*"))
+    assert pretrain(tiny_pretraining_recipe, tiny_dataset, run, *keys, "--overwrite", "true") == 2
+    assert reason in capsys.readouterr().err
+    assert sorted(run.rglob("*")) == before
+    assert pretrain(tiny_pretraining_recipe, tiny_dataset, tmp_path / "new", *keys) == 2
+    assert not (tmp_path / "new").exists()
 
 
 def test_an_unknown_teacher_is_answered_with_the_teachers(

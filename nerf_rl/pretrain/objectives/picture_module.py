@@ -3,8 +3,8 @@
 from torch import Tensor
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
-from nerf_rl.errors import UserError
-from nerf_rl.pretrain.config import ANCHORS, SUPERVISED, PretrainConfig
+from nerf_rl.pretrain.config import PretrainConfig
+from nerf_rl.pretrain.data.learnable import require_targets
 from nerf_rl.pretrain.data.statistics import Statistics
 from nerf_rl.pretrain.data.view_batches import ViewBatch, standardised_state
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
@@ -28,16 +28,9 @@ class PictureModule(EncoderModule):
 
     def __init__(self, config: PretrainConfig, dataset: MultiViewDataset, statistics: Statistics, rig: EncoderRig):
         super().__init__(config, dataset, statistics.anchors, rig)
+        require_targets(dataset, config, statistics.anchors)
         columns, *_ = standardised_state(dataset)
         classes = len(statistics.anchors.classes)
-        if config.objective == ANCHORS and not classes:
-            raise UserError(f"{dataset.folder} shows no class that moves, which --objective {ANCHORS} learns from")
-        if config.objective == SUPERVISED and not columns:
-            names = ", ".join(dataset.columns("privileged")) or "there is none"
-            raise UserError(
-                f"no column of the true state of {dataset.folder} ({names}) varies as its encoder's cameras see it, "
-                f"which --objective {SUPERVISED} learns from"
-            )
         self._weights = {SEGMENTATION: config.losses.segmentation}  # the others are what an objective is
         self.objective = OBJECTIVES[config.objective](self.encoder, len(columns), classes)
 
