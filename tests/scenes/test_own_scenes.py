@@ -260,6 +260,22 @@ def test_cameras_see_wherever_an_arm_and_its_target_come(tmp_path: Path):
         assert ((pixels > 0) & (pixels < 32)).all(-1).mean() > 0.97
 
 
+@pytest.mark.parametrize(
+    "scene, classes",
+    [
+        ("gym/HalfCheetah-v5", ("torso", "bthigh", "bshin", "bfoot", "fthigh", "fshin", "ffoot")),
+        ("gym/Reacher-v5", ("robot", "gripper", "target")),
+    ],
+)
+def test_the_recipe_tells_links_apart_of_a_robot_that_is_alone(scene: str, classes: tuple[str, ...], tmp_path: Path):
+    out = tmp_path / "data"
+    arguments = ["--episodes", "2", "--episodes_per_shard", "1", "--workers", "1", "--size", "48", "--scene", scene]
+    assert cli.main(["gen-dataset", "--config", "datasets/gym.yaml", *arguments, "--out", str(out)]) == 0
+    dataset = MultiViewDataset(out)
+    assert dataset.class_names == ("background", *classes)
+    assert set(np.unique(dataset.read("semantic"))) == set(range(len(dataset.class_names)))  # each is seen
+
+
 def _arm_and_block(folder: Path, falls: bool) -> Path:
     """Write a model of an arm and a block beside it that hangs in the air or falls out of the world."""
     path = folder / f"{falls}.xml"
