@@ -150,8 +150,8 @@ def probes_table(rows: list[dict[str, Any]]) -> str:
         means = [np.mean(linear), np.mean([each["network_r2"] for each in trained]), min(linear)]
         means += [np.mean([each["r2"] for each in untrained])]
         positions = row[PROBES[0]].values()
-        off = [np.mean([each[name] for each in positions]) for name in ("rmse_mm", "median_mm")]
-        told = [*(f"{value:.2f}" for value in means), *(f"{value:.1f}" for value in off)]
+        off = [[each[name] for each in positions] for name in ("rmse_mm", "median_mm")]
+        told = [*(f"{value:.2f}" for value in means), *(f"{np.mean(values):.1f}" if values else "" for values in off)]
         lines.append([f"`{row['scene']}`", row["robot_links"], row["seed"], *told])
     return markdown_table(header, lines)
 
