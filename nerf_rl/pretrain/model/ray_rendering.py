@@ -38,11 +38,13 @@ class RenderedRays:
     """planar depth of the samples [m]"""
     weights: Float[Tensor, "B R S"]
     """their share in the ray"""
+    leave: Float[Tensor, "B R"]
+    """planar depth beyond which there is nothing but the backdrop [m]"""
 
     @property
     def depth(self) -> Float[Tensor, "B R"]:
         """Median planar depth [m]."""
-        return median_depth(self.weights, self.depths)
+        return median_depth(self.weights, self.depths, self.leave)
 
 
 def render_at(
@@ -51,11 +53,12 @@ def render_at(
     origins: Float[Tensor, "B R 3"],
     directions: Float[Tensor, "B R 3"],
     depths: Float[Tensor, "B R S"],
+    leave: Float[Tensor, "B R"],
 ) -> RenderedRays:
-    """Render rays from samples at sorted planar depths [m]; the last one is the backdrop."""
+    """Render rays from samples at sorted planar depths [m], the last one the backdrop, up to where they leave [m]."""
     density, features = _evaluate(field, latent, origins, directions, depths)
-    weights = rendering_weights(density, sample_spacings(depths, directions))
-    return RenderedRays(field.read(composite(weights.to(features.dtype), features)), depths, weights)
+    weights = rendering_weights(density, sample_spacings(depths, directions, leave))
+    return RenderedRays(field.read(composite(weights.to(features.dtype), features)), depths, weights, leave)
 
 
 @dataclass
@@ -110,7 +113,7 @@ def render_depth_guided(
     found = _found_density(field, latent, origins, directions, even, config.training_importance)
     backdrop = torch.full_like(depth[..., None], field.bounds.far)
     depths = torch.cat([torch.cat([even, before, around, found], dim=-1).sort(-1).values, backdrop], dim=-1)
-    return render_at(field, latent, origins, directions, depths)
+    return render_at(field, latent, origins, directions, depths, far)
 
 
 @torch.no_grad()
@@ -134,11 +137,11 @@ def render_without_depth(
     finer_density, finer_features = _evaluate(field, latent, origins, directions, finer)
     depths, order = torch.cat([even, finer], dim=-1).sort(dim=-1, stable=True)
     density = torch.cat([density, finer_density], dim=-1).gather(-1, order)
-    weights = rendering_weights(density, sample_spacings(depths, directions))
+    weights = rendering_weights(density, sample_spacings(depths, directions, far))
     unsorted = torch.zeros_like(weights).scatter(-1, order, weights).to(features.dtype)
     even_share, finer_share = unsorted.split([even.shape[-1], finer.shape[-1]], dim=-1)
     composited = composite(even_share, features) + composite(finer_share, finer_features)
-    return RenderedRays(field.read(composited), depths, weights)
+    return RenderedRays(field.read(composited), depths, weights, far)
 
 
 @dataclass

@@ -90,10 +90,27 @@ def widened_weights(weights: Float[Tensor, "*B S"]) -> Float[Tensor, "*B S"]:
     return 0.5 * (pairs[..., 1:] + pairs[..., :-1])
 
 
-def sample_spacings(depths: Float[Tensor, "*B S"], directions: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B S"]:
-    """Return the length of ray that each sample stands for [m]; the last one, the backdrop, has all beyond."""
-    lengths = (depths[..., 1:] - depths[..., :-1]) * directions.norm(dim=-1, keepdim=True)
+def sample_spacings(
+    depths: Float[Tensor, "*B S"], directions: Float[Tensor, "*B 3"], leave: Float[Tensor, "*B"] | None = None
+) -> Float[Tensor, "*B S"]:
+    """Return the length of ray that each sample stands for [m]; the last one, the backdrop, has all beyond.
+
+    Args:
+        depths: of the samples, sorted [m].
+        directions: of the rays, of unit planar depth.
+        leave: where each ray leaves the box that anything is in [m]. The last sample in the box stands for the way to
+            there alone: the way on to the backdrop, which may be longer than that through the box, is empty.
+    """
+    lengths = _reaches(depths, leave) * directions.norm(dim=-1, keepdim=True)
     return torch.cat([lengths, torch.full_like(lengths[..., :1], 1e10)], dim=-1)
+
+
+def _reaches(depths: Float[Tensor, "*B S"], leave: Float[Tensor, "*B"] | None) -> Float[Tensor, "*B S-1"]:
+    """Return what each sample but the last stands for, in planar depth [m]."""
+    ends = depths[..., 1:]
+    if leave is not None:
+        ends = torch.minimum(ends, torch.maximum(leave[..., None], depths[..., :-1]))
+    return ends - depths[..., :-1]
 
 
 def rendering_weights(density: Float[Tensor, "*B S"], spacings: Float[Tensor, "*B S"]) -> Float[Tensor, "*B S"]:
@@ -111,7 +128,9 @@ def composite(weights: Float[Tensor, "*B S"], values: Float[Tensor, "*B S C"]) -
     return torch.einsum("...s,...sc->...c", weights, values)
 
 
-def median_depth(weights: Float[Tensor, "*B S"], depths: Float[Tensor, "*B S"]) -> Float[Tensor, "*B"]:
+def median_depth(
+    weights: Float[Tensor, "*B S"], depths: Float[Tensor, "*B S"], leave: Float[Tensor, "*B"] | None = None
+) -> Float[Tensor, "*B"]:
     """Return the depth [m] before which half of a ray's light comes from; of a ray that mostly passes, its last one.
 
     Where a ray may meet either of two surfaces, this is on one of them, where the expected depth is between them. The
@@ -121,6 +140,7 @@ def median_depth(weights: Float[Tensor, "*B S"], depths: Float[Tensor, "*B S"]) 
     Args:
         weights: of the samples; those of a ray sum to one.
         depths: of the samples, sorted [m].
+        leave: as :func:`sample_spacings` takes it.
     """
     absorbed = torch.cumsum(weights, dim=-1)
     first = (absorbed[..., :-1] < 0.5).sum(-1, keepdim=True)  # by the end of which half is absorbed
@@ -128,5 +148,5 @@ def median_depth(weights: Float[Tensor, "*B S"], depths: Float[Tensor, "*B S"]) 
     before = (1.0 - (absorbed.gather(-1, first) - weight)).clamp(min=0.5)
     optical = -torch.log1p(-(weight / before).clamp(max=1.0))
     share = (torch.log(2.0 * before) / optical).clamp(0.0, 1.0)
-    spacing = torch.cat([depths.diff(dim=-1), torch.zeros_like(depths[..., :1])], dim=-1).gather(-1, first)
+    spacing = torch.cat([_reaches(depths, leave), torch.zeros_like(depths[..., :1])], dim=-1).gather(-1, first)
     return (depths.gather(-1, first) + share * spacing)[..., 0]

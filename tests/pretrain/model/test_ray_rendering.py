@@ -177,12 +177,49 @@ def test_samples_are_within_the_box_of_what_is_seen():
     assert float((found.depth - depth)[hit].abs().median()) < 0.005
 
 
+class FogField(SphereField):
+    """Thin fog everywhere in a box around the sphere's place, of which nothing is outside of the box."""
+
+    density = 1.5
+
+    def __init__(self, far: float) -> None:
+        super().__init__()
+        low, high = (tuple(c + sign * 1.2 * RADIUS for c in CENTRE) for sign in (-1.0, 1.0))
+        self.bounds = FieldBounds(0.3, far, CENTRE, 1.0, low, high)
+        self.corners = self.bounds.corners()
+
+    def forward(self, points: Tensor, latent: Tensor) -> tuple[Tensor, Tensor]:
+        there = torch.ones(*points.shape[:-1], 2)
+        return torch.full(points.shape[:-1], self.density), torch.cat([points, there], dim=-1)
+
+
+@pytest.mark.parametrize("far", [2.0, 50.0])
+@pytest.mark.parametrize("guided", [True, False])
+def test_fog_in_a_box_absorbs_what_its_way_through_the_box_says_however_far_the_backdrop_is(far: float, guided: bool):
+    """The last sample in the box once stood for the way on to the backdrop as well."""
+    origins, directions, _ = rays()
+    field, latent = FogField(far), torch.full((2, 1), RADIUS)
+    near, leave = field.ray_limits(origins, directions)
+    if guided:
+        missed = torch.full_like(near, far)
+        rendered = rendering.render_depth_guided(field, latent, origins, directions, missed, SAMPLING, noise(0))
+    else:
+        rendered = rendering.render_without_depth(field, latent, origins, directions, SAMPLING)
+    way = (leave - near) * directions.norm(dim=-1)
+    absorbed = 1.0 - rendered.weights[..., -1]
+    # what comes before the first sample is not looked at: at most one even part of the way
+    parts = SAMPLING.training_stratified if guided else SAMPLING.rendering_stratified
+    most, least = (1.0 - torch.exp(-field.density * share * way) for share in (1.0, 1.0 - 1.0 / parts))
+    assert (absorbed <= most + 1e-5).all() and (absorbed >= least - 1e-5).all()
+    assert (rendered.depth[rendered.weights[..., -1] < 0.5] <= leave[rendered.weights[..., -1] < 0.5]).all()
+
+
 def test_what_two_passes_found_is_what_one_pass_over_all_their_samples_finds():
     origins, directions, _ = rays()
     latent = torch.tensor([[RADIUS], [0.5 * RADIUS]])
     rendered = rendering.render_without_depth(SphereField(), latent, origins, directions, SAMPLING)
     assert (rendered.depths.diff(dim=-1) >= 0).all()
-    again = rendering.render_at(SphereField(), latent, origins, directions, rendered.depths)
+    again = rendering.render_at(SphereField(), latent, origins, directions, rendered.depths, rendered.leave)
     torch.testing.assert_close(rendered.weights, again.weights)
     assert rendered.values["semantic"].argmax(-1).sum() > 100
     for name, value in again.values.items():

@@ -82,6 +82,17 @@ def test_spacings_are_distances_along_the_ray():
     assert float(spacings[0, -1]) >= 1e9
 
 
+def test_a_ray_that_leaves_the_box_has_no_length_beyond():
+    depths = torch.tensor([[0.5, 0.7, 1.2, 9.0], [0.5, 0.7, 1.2, 9.0], [0.5, 0.7, 1.2, 9.0]])
+    directions, leave = torch.tensor([[0.0, 0.0, 1.0]]).expand(3, 3), torch.tensor([1.5, 0.9, 9.0])
+    spacings = sample_spacings(depths, directions, leave)
+    expected = torch.tensor([[0.2, 0.5, 0.3], [0.2, 0.2, 0.0], [0.2, 0.5, 7.8]])
+    torch.testing.assert_close(spacings[:, :-1], expected)
+    assert (spacings[:, -1] >= 1e9).all()
+    weights = torch.tensor([[0.0, 0.0, 0.8, 0.2], [0.0, 0.8, 0.0, 0.2], [0.0, 0.0, 0.8, 0.2]])
+    assert (median_depth(weights, depths, leave) <= leave).all()
+
+
 def test_stratified_samples_have_one_in_each_bin():
     generator = torch.Generator().manual_seed(1)
     samples = stratified_samples(0.5, 2.5, torch.rand(50, 4, 8, generator=generator))

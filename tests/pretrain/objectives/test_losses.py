@@ -1,5 +1,7 @@
 """Losses against their formulas in NumPy."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -22,7 +24,8 @@ def random_case(feature: bool = True) -> tuple[RenderedRays, RayBatch, torch.Ten
     values = {"rgb": random(B, R, 3), "semantic": 3 * random(B, R, C)} | (
         {"feature": random(B, R, F)} if feature else {}
     )
-    rendered = RenderedRays(values, random(B, R, S).sort(-1).values, weights / weights.sum(-1, keepdim=True))
+    depths, weights = random(B, R, S).sort(-1).values, weights / weights.sum(-1, keepdim=True)
+    rendered = RenderedRays(values, depths, weights, torch.ones(B, R))
     batch = RayBatch(
         torch.zeros((B, 1, 2, 2, 3), dtype=torch.uint8),
         random(B, 1, 3, 4),
@@ -90,7 +93,9 @@ def test_a_perfect_rendering_costs_nothing():
     values = {"rgb": batch.rgb, "semantic": logits, "feature": batch.feature}
     depths, weights = rendered.depths.clone(), torch.zeros(B, R, S)
     depths[..., 1], weights[..., 1] = batch.depth, 1.0
-    for name, value in losses(RenderedRays(values, depths, weights), batch, batch.middles, spread).items():
+    for name, value in losses(
+        replace(rendered, values=values, depths=depths, weights=weights), batch, batch.middles, spread
+    ).items():
         assert float(value) == pytest.approx(0.0, abs=1e-6), name
 
 
