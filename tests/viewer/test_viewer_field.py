@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,7 +16,7 @@ from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import SamplingConfig
 from nerf_rl.pretrain.measures.linear_probe import encode_frames
 from nerf_rl.pretrain.model.conditioned_field import ConditionedField
-from nerf_rl.pretrain.model.field import RadianceField
+from nerf_rl.pretrain.model.field import FieldBounds, RadianceField
 from nerf_rl.pretrain.model.ray_rendering import render_images
 from nerf_rl.viewer.field import progressive
 from nerf_rl.viewer.field.density_mesh import density_mesh, surface_net
@@ -76,8 +77,41 @@ def test_coarse_rays_close_in_on_a_surface_from_both_sides(wall: float) -> None:
             return torch.where(points[:, 2] > wall, 2000.0, 0.0), points
 
     every = torch.linspace(0.05, 1.95, 20)[None]
-    rays = progressive._render_twice(Wall(), torch.zeros(3), torch.tensor([[0.0, 0.0, 1.0]]), every)
-    assert rays.depths[rays.depths > wall].min() - rays.depths[rays.depths <= wall].max() < 0.045
+    ahead, limits = torch.tensor([[0.0, 0.0, 1.0]]), (torch.tensor([0.0]), torch.tensor([2.0]))
+    sight = progressive._render_twice(Wall(), progressive._Rays(torch.zeros(3), ahead, *limits), every)
+    assert sight.depths[sight.depths > wall].min() - sight.depths[sight.depths <= wall].max() < 0.045
+
+
+class WhiteFog(ConditionedField):
+    """Thin white fog in a box one metre ahead, and black everywhere else."""
+
+    density = 1.5
+
+    def __init__(self, far: float) -> None:
+        bounds = FieldBounds(0.3, far, (0.0, 0.0, 1.0), 1.0, (-0.2, -0.3, 0.9), (0.3, 0.2, 1.2))
+        self.box = SimpleNamespace(bounds=bounds, corners=bounds.corners())
+        self.box.read = lambda seen: {"rgb": seen, "semantic": seen}
+        self.box.ray_limits = partial(RadianceField.ray_limits, self.box)  # type: ignore[arg-type]
+        self.field, self.latent = self.box, torch.zeros(1)  # type: ignore[assignment]
+
+    def __call__(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        inside = RadianceField.in_box(self.box, points).float()  # type: ignore[arg-type]
+        return self.density * inside, inside[:, None].expand(-1, 3)
+
+
+@pytest.mark.parametrize("far", [2.0, 50.0])
+def test_fog_in_a_box_is_as_thick_from_the_viewer_however_far_the_backdrop_is(far: float) -> None:
+    """The last sample in the box once stood for the way on to the backdrop as well."""
+    fog, camera = WhiteFog(far), FreeCamera(np.eye(4), np.deg2rad(30.0), 1.0)
+    for picture in render_progressively(fog, camera, 12, [Picture(24), Picture(24, 32)]):
+        height, width = picture.depth.shape[1:]
+        origin, directions = camera.rays(height, width)
+        enter, leave = fog.box.ray_limits(origin.expand_as(directions), directions)
+        way = (leave - enter) * directions.norm(dim=-1)
+        most = (1.0 - torch.exp(-fog.density * way)).reshape(height, width).numpy()
+        assert (most > 0.3).any() and (most == 0.0).any()
+        assert (picture.rgb[0] <= most[..., None] + 1e-5).all()
+        assert picture.rgb[0].max() > 0.5 * most.max()  # the fog is there
 
 
 def test_a_newer_picture_cancels_the_finer_ones(encoded: EncodedDataset, frame: Frame) -> None:
@@ -191,10 +225,10 @@ def test_a_gpu_renders_a_picture_in_one_part_and_processors_in_several(
     monkeypatch.setattr(progressive, "_thread_count", lambda: 2)
     rendered: list[slice] = []
 
-    def render(part: slice) -> progressive._Rays:
+    def render(part: slice) -> progressive._Sight:
         rendered.append(part)
         places = torch.arange(1000.0)[part, None]
-        return progressive._Rays(places, places, places)
+        return progressive._Sight(places, places, places, places[:, 0])
 
     whole = progressive._in_chunks(render, 1000, lambda: False, torch.device(device))
     assert whole is not None and torch.equal(whole.depths[:, 0], torch.arange(1000.0))

@@ -3,7 +3,7 @@
 import functools
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import NamedTuple
 
@@ -84,13 +84,35 @@ class FreeCamera:
         return torch.from_numpy(origin).to(device), torch.from_numpy(directions).to(device)
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Rays:
+    """R rays from one place."""
+
+    origin: Float[Tensor, "3"]
+    directions: Float[Tensor, "R 3"]
+    """of unit planar depth"""
+    enter: Float[Tensor, "R"]
+    """where they come into the box of all that is seen [m of depth]"""
+    leave: Float[Tensor, "R"]
+
+    @classmethod
+    def of_camera(cls, camera: FreeCamera, height: int, width: int, field: ConditionedField) -> "_Rays":
+        """Return those through the pixels' centres."""
+        origin, directions = camera.rays(height, width, field.latent.device)
+        return cls(origin, directions, *field.field.ray_limits(origin.expand_as(directions), directions))
+
+    def part(self, which: slice) -> "_Rays":
+        return _Rays(self.origin, self.directions[which], self.enter[which], self.leave[which])
+
+
+@dataclass
+class _Sight:
     """What R rays see, and where."""
 
     features: Float[Tensor, "R W"]
     depths: Float[Tensor, "R S"]
     weights: Float[Tensor, "R S"]
+    leave: Float[Tensor, "R"]
 
 
 class Picture(NamedTuple):
@@ -125,38 +147,31 @@ def render_progressively(
     near, far = field.field.bounds.near, field.field.bounds.far
     height, width = camera.shape(coarse)
     device = field.latent.device
-    origin, directions = camera.rays(height, width, device)
+    rays = _Rays.of_camera(camera, height, width, field)
     spacing = (far - near) / _COARSE_SAMPLES
-    limits = field.field.ray_limits(origin.expand_as(directions), directions)
-    every = even_samples(*limits, (height * width,), _COARSE_SAMPLES, device)
-    rays = _in_chunks(
-        lambda part: _render_twice(field, origin, directions[part], every[part]), len(every), stale, device
-    )
-    if rays is None:
+    every = even_samples(rays.enter, rays.leave, (height * width,), _COARSE_SAMPLES, device)
+    sight = _in_chunks(lambda part: _render_twice(field, rays.part(part), every[part]), len(every), stale, device)
+    if sight is None:
         return
-    yield _images(field, rays, height, width)
+    yield _images(field, sight, height, width)
     bins = even_samples(near, far, (), _BINS, device)
-    histogram = _histogram(rays, near, far).reshape(1, height, width, _BINS).permute(0, 3, 1, 2)
+    histogram = _histogram(sight, near, far).reshape(1, height, width, _BINS).permute(0, 3, 1, 2)
     around = F.max_pool2d(histogram, 3, 1, 1)
     longest = max(spacing, 1.5 * (far - near) / _BINS)
     for picture in fine:
         height, width = camera.shape(picture.longer)
-        origin, directions = camera.rays(height, width, device)
+        rays = _Rays.of_camera(camera, height, width, field)
         mass = F.interpolate(around, (height, width), mode="nearest")[0].reshape(_BINS, -1).T
-        rays = _in_chunks(
-            partial(_render_where, field, origin, directions, bins, mass, picture.samples, longest),
-            len(mass),
-            stale,
-            device,
-        )
-        if rays is None:
+        render = partial(_render_where, field, rays, bins, mass, picture.samples, longest)
+        sight = _in_chunks(render, len(mass), stale, device)
+        if sight is None:
             return
-        yield _images(field, rays, height, width)
+        yield _images(field, sight, height, width)
 
 
 def _in_chunks(
-    render: Callable[[slice], _Rays], count: int, stale: Callable[[], bool], device: torch.device
-) -> _Rays | None:
+    render: Callable[[slice], _Sight], count: int, stale: Callable[[], bool], device: torch.device
+) -> _Sight | None:
     """Render rays, on the processor in all threads; None if a newer picture was wanted before the end.
 
     Args:
@@ -169,7 +184,7 @@ def _in_chunks(
     if device.type == "cpu":
         size = min(_RAYS_PER_CHUNK, -(-count // (2 * _thread_count())))
 
-    def chunk(start: int) -> _Rays | None:
+    def chunk(start: int) -> _Sight | None:
         if stale():
             return None
         with torch.inference_mode():  # it holds for a thread
@@ -179,7 +194,7 @@ def _in_chunks(
     whole = [part for part in parts if part is not None]
     if len(whole) < len(parts):
         return None
-    return _Rays(*(torch.cat([getattr(part, name) for part in whole]) for name in ("features", "depths", "weights")))
+    return _Sight(*(torch.cat([getattr(part, each.name) for part in whole]) for each in fields(_Sight)))
 
 
 @functools.cache
@@ -196,95 +211,93 @@ def _thread_count() -> int:
     return min(_MOST_THREADS, usable_cores())
 
 
-def _render_twice(field: ConditionedField, origin: Tensor, directions: Tensor, depths: Float[Tensor, "R S"]) -> _Rays:
+def _render_twice(field: ConditionedField, rays: _Rays, depths: Float[Tensor, "R S"]) -> _Sight:
     """Render rays at sorted depths [m], and at some more where the first ones found something."""
-    first = _evaluate(field, origin, directions, depths)
-    weights = _weights(field, directions, depths, first[0], None)
+    first = _evaluate(field, rays, depths)
+    weights = _weights(field, rays, depths, first[0], None)
     more = importance_samples(depths, widened_weights(weights[:, :-1]), _IMPORTANCE_SAMPLES)
-    second = _evaluate(field, origin, directions, more)
+    second = _evaluate(field, rays, more)
     every, order = torch.cat([depths, more], dim=-1).sort(-1)
     density = torch.cat([first[0], second[0]], dim=1).gather(1, order)
     features = torch.cat([first[1], second[1]], dim=1)
     features = features.gather(1, order[..., None].expand(-1, -1, features.shape[-1]))
-    return _composed(field, origin, directions, every, density, features, None)
+    return _composed(field, rays, every, density, features, None)
 
 
 def _render_where(
     field: ConditionedField,
-    origin: Tensor,
-    directions: Float[Tensor, "R 3"],
+    rays: _Rays,
     bins: Float[Tensor, "B"],
     mass: Float[Tensor, "R B"],
     samples: int,
     longest: float,
     part: slice,
-) -> _Rays:
+) -> _Sight:
     """Render some rays at depths spread over where something was met.
 
     Args:
         field: of the scene.
-        origin, directions: of all rays.
+        rays: all of them.
         bins: depths [m].
         mass: what all rays met there.
         samples: on each ray.
         longest: most that a sample may stand for [m of depth]; gaps between samples are known to be empty.
         part: which rays.
     """
-    chosen = mass[part]
+    chosen, rays = mass[part], rays.part(part)
     depths = importance_samples(bins.expand(len(chosen), -1), chosen, samples)
-    density, features = _evaluate(field, origin, directions[part], depths)
-    return _composed(field, origin, directions[part], depths, density, features, longest)
+    density, features = _evaluate(field, rays, depths)
+    return _composed(field, rays, depths, density, features, longest)
 
 
 def _evaluate(
-    field: ConditionedField, origin: Tensor, directions: Float[Tensor, "R 3"], depths: Float[Tensor, "R S"]
+    field: ConditionedField, rays: _Rays, depths: Float[Tensor, "R S"]
 ) -> tuple[Float[Tensor, "R S"], Float[Tensor, "R S W"]]:
-    density, features = field((origin + depths[..., None] * directions[:, None]).reshape(-1, 3))
+    density, features = field((rays.origin + depths[..., None] * rays.directions[:, None]).reshape(-1, 3))
     return density.reshape(depths.shape), features.reshape(*depths.shape, -1)
 
 
 def _weights(
-    field: ConditionedField, directions: Tensor, depths: Float[Tensor, "R S"], density: Tensor, longest: float | None
+    field: ConditionedField, rays: _Rays, depths: Float[Tensor, "R S"], density: Tensor, longest: float | None
 ) -> Float[Tensor, "R S1"]:
     """Return the samples' shares in their rays, and last that of the backdrop, which takes the rest."""
     far = torch.full_like(depths[:, :1], field.field.bounds.far)
-    spacings = sample_spacings(torch.cat([depths, far], dim=-1), directions)
+    spacings = sample_spacings(torch.cat([depths, far], dim=-1), rays.directions, rays.leave)
     if longest is not None:
-        length = longest * directions.norm(dim=-1, keepdim=True)
+        length = longest * rays.directions.norm(dim=-1, keepdim=True)
         spacings[:, :-1] = torch.minimum(spacings[:, :-1], length)
     return rendering_weights(torch.cat([density, torch.ones_like(far)], dim=-1), spacings)
 
 
 def _composed(
     field: ConditionedField,
-    origin: Tensor,
-    directions: Float[Tensor, "R 3"],
+    rays: _Rays,
     depths: Float[Tensor, "R S"],
     density: Float[Tensor, "R S"],
     features: Float[Tensor, "R S W"],
     longest: float | None,
-) -> _Rays:
+) -> _Sight:
     """Put samples together, and the backdrop where they let something through."""
-    weights = _weights(field, directions, depths, density, longest)
+    weights = _weights(field, rays, depths, density, longest)
     seen = composite(weights[:, :-1], features)
     open_rays = torch.nonzero(weights[:, -1] > _OPAQUE)[:, 0]
     if len(open_rays):
-        _, backdrop = field(origin + field.field.bounds.far * directions[open_rays])
+        _, backdrop = field(rays.origin + field.field.bounds.far * rays.directions[open_rays])
         seen[open_rays] += weights[open_rays, -1:] * backdrop
     far = torch.full_like(depths[:, :1], field.field.bounds.far)
-    return _Rays(seen, torch.cat([depths, far], dim=-1), weights)
+    return _Sight(seen, torch.cat([depths, far], dim=-1), weights, rays.leave)
 
 
-def _histogram(rays: _Rays, near: float, far: float) -> Float[Tensor, "R bins"]:
+def _histogram(sight: _Sight, near: float, far: float) -> Float[Tensor, "R bins"]:
     """Return each ray's weight in equal bins of depth."""
-    place = ((rays.depths[:, :-1] - near) / (far - near) * _BINS).long().clamp(0, _BINS - 1)
-    return torch.zeros(len(place), _BINS, device=place.device).scatter_add_(1, place, rays.weights[:, :-1].clone())
+    place = ((sight.depths[:, :-1] - near) / (far - near) * _BINS).long().clamp(0, _BINS - 1)
+    return torch.zeros(len(place), _BINS, device=place.device).scatter_add_(1, place, sight.weights[:, :-1].clone())
 
 
-def _images(field: ConditionedField, rays: _Rays, height: int, width: int) -> RenderedImages:
-    values, shape = field.field.read(rays.features), (1, height, width)
+def _images(field: ConditionedField, sight: _Sight, height: int, width: int) -> RenderedImages:
+    values, shape = field.field.read(sight.features), (1, height, width)
     return RenderedImages(
         values["rgb"].clamp(0.0, 1.0).reshape(*shape, 3).cpu().numpy(),
         values["semantic"].argmax(-1).reshape(shape).cpu().numpy(),
-        median_depth(rays.weights, rays.depths).reshape(shape).cpu().numpy(),
+        median_depth(sight.weights, sight.depths, sight.leave).reshape(shape).cpu().numpy(),
     )
