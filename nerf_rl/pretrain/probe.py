@@ -17,6 +17,8 @@ from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 def probe(config: ProbeConfig) -> None:
     """Probe an encoder on a dataset's held-out episodes; print the table and write ``summary.json`` if asked to.
 
+    A dataset of another scene is taken, if its cameras are the encoder's own, and told.
+
     Raises:
         UserError: no such encoder or dataset, no such device, or the dataset has another camera rig or no true state.
     """
@@ -25,6 +27,9 @@ def probe(config: ProbeConfig) -> None:
         raise UserError(f"{config.data} has no columns of the true state, so there is nothing to read from a latent")
     _, description = read_description(config.encoder)
     EncoderRig.from_json(description["rig"]).require_same(EncoderRig.of_dataset(dataset))
+    trained_on, shown = description["scene"]["name"], dataset.manifest["scene"]["name"]
+    if trained_on != shown:  # what is meant where encoders are tried on other scenes, and a slip everywhere else
+        print(f"{config.encoder} was trained on {trained_on}, and {config.data} shows {shown}")
     wait_passively()
     check_device(config.device)
     if config.out is not None:

@@ -16,6 +16,7 @@ def test_the_command_prints_a_table_and_writes_a_summary(
     arguments = ["probe", "--encoder", str(tiny_encoder), "--data", str(tiny_dataset), "--out", str(tmp_path / "probe")]
     assert cli.main(arguments) == 0
     shown = capsys.readouterr().out
+    assert "was trained on" not in shown
     summary = json.loads((tmp_path / "probe" / "summary.json").read_text())
     assert set(summary) == {f"{kind}{whose}" for kind in ("probe", "joint_probe") for whose in ("", "_random_encoder")}
     for kind, error in (("probe", "rmse_mm"), ("joint_probe", "rmse_deg")):
@@ -54,3 +55,17 @@ def test_a_dataset_of_another_rig_is_refused_and_nothing_is_written(
     message = capsys.readouterr().err
     assert "another camera rig: names" in message and "back" in message and message.count("\n") == 1
     assert not out.exists()
+
+
+def test_a_dataset_of_another_scene_is_probed_and_told(
+    tiny_dataset: Path, tiny_encoder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    other = tmp_path / "other"
+    shutil.copytree(tiny_dataset, other)
+    manifest = json.loads((other / "manifest.json").read_text())
+    trained_on, manifest["scene"]["name"] = manifest["scene"]["name"], "metaworld/faucet-open-v3"
+    write_checksummed(other / "manifest.json", manifest)
+    assert cli.main(["probe", "--encoder", str(tiny_encoder), "--data", str(other)]) == 0
+    first, *table = capsys.readouterr().out.splitlines()
+    assert first == f"{tiny_encoder} was trained on {trained_on}, and {other} shows metaworld/faucet-open-v3"
+    assert any(line.startswith("hand_x ") for line in table)
