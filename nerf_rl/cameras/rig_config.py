@@ -14,6 +14,8 @@ from nerf_rl.errors import UserError
 MOST_CAMERAS = 256
 AUTO, NOTHING = "auto", "none"
 """what cameras follow: the root of a robot that can travel; nothing"""
+ROBOT = "robot"
+"""what azimuths may be measured from"""
 _LARGEST = 1e6
 
 
@@ -200,6 +202,9 @@ class RigConfig:
     follow: str = AUTO
     """body that cameras without a place of their own follow without turning: auto (the root of a robot that can travel,
     else nothing), none, or the name of a body"""
+    azimuths: Literal["world", "robot"] = "world"
+    """what the azimuths of cameras that look at the middle of the workspace are measured from: world (its x axis), or
+    robot: 90 looks an arm that stands beside its workspace in the face; where none does, as world"""
     follow_axes: Literal["xy", "xyz"] = "xy"
     """along which axes cameras follow a body: xy (horizontally) or xyz"""
 

@@ -32,8 +32,17 @@ class Mount(NamedTuple):
     """what it follows without turning"""
 
 
-def mount(config: CameraConfig, model: mujoco.MjModel, workspace: Workspace, followers: Followers) -> Mount:
+def mount(
+    config: CameraConfig, model: mujoco.MjModel, workspace: Workspace, followers: Followers, turn: float
+) -> Mount:
     """Return where a camera is.
+
+    Args:
+        config: of the camera.
+        model: of the scene.
+        workspace: of the scene.
+        followers: what cameras may follow.
+        turn: of the azimuth of a camera that looks at the workspace's middle [degrees].
 
     Raises:
         UserError: no such camera or body in the model, or a camera that is not a centred pinhole.
@@ -43,7 +52,8 @@ def mount(config: CameraConfig, model: mujoco.MjModel, workspace: Workspace, fol
     label = f"camera '{config.name}'"
     following = followers.of(config.follow, label) if config.follow else None
     attached = bool(config.body or config.follow)
-    if not (attached or config.lookat or config.position):
+    fitted = not (attached or config.lookat or config.position)
+    if fitted:
         following = followers.usual
     centre = workspace.centre if following is None else following.centre
     lookat = np.array(config.lookat or (np.zeros(3) if attached else centre), np.float64)
@@ -56,7 +66,8 @@ def mount(config: CameraConfig, model: mujoco.MjModel, workspace: Workspace, fol
     if config.position:
         local = look_from(position, lookat)
     else:
-        local = look_at(lookat, config.distance or workspace.distance(config.fovy), config.azimuth, config.elevation)
+        azimuth = config.azimuth + (turn if fitted else 0.0)
+        local = look_at(lookat, config.distance or workspace.distance(config.fovy), azimuth, config.elevation)
     if config.body:
         return _on_body(body_id(model, config.body, label), local, config.fovy)
     if following is None:

@@ -10,6 +10,7 @@ from numpy import ndarray
 from nerf_rl.cameras.geometry import camera_position, intrinsics_from_fovy, look_at
 from nerf_rl.cameras.rig_config import (
     MOST_CAMERAS,
+    ROBOT,
     CameraConfig,
     DomeConfig,
     RandomCameraConfig,
@@ -94,6 +95,7 @@ def make_rig(config: RigConfig, size: int, scene: Scene) -> Rig:
         if group.name in groups:
             raise UserError(f"two cameras, rings or domes are named '{group.name}'")
         groups[group.name] = group.cameras()
+    turn = scene.workspace().turn if config.azimuths == ROBOT or not groups else 0.0
     if not groups:
         groups = {camera.name: [camera] for camera in scene.default_cameras()}
     cameras = [camera for group in groups.values() for camera in group]
@@ -106,8 +108,8 @@ def make_rig(config: RigConfig, size: int, scene: Scene) -> Rig:
 
     model, workspace = scene.model, scene.workspace()
     followers = Followers(config, model, workspace, scene.render_data())
-    mounted = [mount(camera, model, workspace, followers) for camera in cameras]
-    random = _RandomCameras(config.random, workspace, followers)
+    mounted = [mount(camera, model, workspace, followers, turn) for camera in cameras]
+    random = _RandomCameras(config.random, workspace, followers, turn)
     roles = _roles(config, groups, names)
     encoder = [camera for camera, role in zip(mounted, roles, strict=False) if role == "encoder"]  # none is random
     fovy = [camera.fovy for camera in mounted] + [config.random.fovy] * config.random.count
@@ -155,7 +157,7 @@ def _roles(config: RigConfig, groups: dict[str, list[CameraConfig]], names: list
 class _RandomCameras:
     """Cameras with a fresh pose in each frame."""
 
-    def __init__(self, config: RandomCameraConfig, workspace: Workspace, followers: Followers):
+    def __init__(self, config: RandomCameraConfig, workspace: Workspace, followers: Followers, turn: float):
         self.count = config.count
         self._following = followers.of(config.follow, "random cameras") if config.follow else None
         if not (config.follow or config.lookat):
@@ -169,7 +171,8 @@ class _RandomCameras:
         self._spread = workspace.radius * _SPREAD if config.lookat_spread is None else config.lookat_spread
         fitted = workspace.distance(config.fovy)
         distance = config.distance or [share * fitted for share in _DISTANCES]
-        self._ranges = (distance, config.azimuth, config.elevation)
+        azimuth = config.azimuth if config.follow or config.lookat else [turn + limit for limit in config.azimuth]
+        self._ranges = (distance, azimuth, config.elevation)
         self.nearest = distance[0]
 
     def poses(self, data: mujoco.MjData, rng: np.random.Generator) -> list[Float[ndarray, "4 4"]]:

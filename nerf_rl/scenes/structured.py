@@ -1,6 +1,5 @@
 """Scenes of which nothing is known but the model's structure: parts, columns and cameras follow from it."""
 
-import dataclasses
 import functools
 from collections.abc import Iterator
 from typing import Any
@@ -8,19 +7,18 @@ from typing import Any
 import gymnasium
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy import ndarray
 
 from nerf_rl.cameras.rig_config import CameraConfig, RingConfig
-from nerf_rl.cameras.tracking_frame import TrackingFrame
 from nerf_rl.scenes.base import Scene, model_digest
-from nerf_rl.scenes.body_parts import can_travel, find_parts
+from nerf_rl.scenes.body_parts import find_parts
 from nerf_rl.scenes.state_columns import StateColumns
 from nerf_rl.scenes.unit_actions import in_range
-from nerf_rl.scenes.workspace import Workspace, around_what_stays, fit_workspace, moving_balls, moving_geoms
+from nerf_rl.scenes.workspace import Workspace
+from nerf_rl.scenes.workspace_fit import WorkspaceFit
 
 _EPISODES, _STEPS, _HOLD = 4, 40, 10  # from which the workspace is fitted
-_LEFT_OUT = 0.02  # of where things were then
 
 
 class StructuredScene(Scene):
@@ -41,7 +39,7 @@ class StructuredScene(Scene):
         return self._columns.privileged(self.render_data())
 
     def workspace(self) -> Workspace:
-        """Return the ball around what moves in a few random episodes; it goes with a robot that travels.
+        """Return the ball around what moves, or what an arm handles, in a few random episodes; it goes with a robot.
 
         The first call acts them and resets the environment, so it is no call for the middle of an episode; who needs no
         cameras, such as an agent on the true state, never acts them.
@@ -50,7 +48,10 @@ class StructuredScene(Scene):
 
     @functools.cached_property
     def _workspace(self) -> Workspace:
-        return self._fit_workspace()
+        fit = WorkspaceFit(self.model, self.parts)
+        for begins, shown in self._random_states():
+            fit.add(shown, begins)
+        return fit.workspace(self.render_data())
 
     def default_cameras(self) -> list[CameraConfig]:
         """Return a ring of three around the workspace."""
@@ -59,34 +60,6 @@ class StructuredScene(Scene):
     def provenance(self) -> dict[str, Any]:
         """Return name and versions, and the digest of the compiled model."""
         return {**super().provenance(), "model_sha256": model_digest(self.model)}
-
-    def _fit_workspace(self) -> Workspace:
-        """Act at random for a few short episodes, and put a ball around what moves there.
-
-        Where a robot travels, the ball goes with it horizontally, and is large enough for its ups and downs.
-        """
-        roots = (root for root in self.parts.robot if can_travel(self.model, root))
-        base = next((name for root in roots if (name := self.model.body(root).name)), "")
-        frame, centres, begins, radii = TrackingFrame(base), [], [], np.zeros(0)
-        for begin, shown in self._random_states():
-            places, radii = moving_balls(self.model, shown)
-            centres.append(places - frame.origin(shown.body(base).xpos) if base else places)
-            begins.append(begin)
-        if not len(radii):
-            return fit_workspace(self.model, self.render_data())
-        ball = around_what_stays(np.stack(centres), radii, _LEFT_OUT, self._loose(), np.array(begins))
-        if not base:
-            return ball
-        start = self.render_data().body(base).xpos
-        centre = ball.centre + frame.origin(start)
-        x, y, z = (round(float(value), 3) for value in centre - start)
-        return dataclasses.replace(ball, centre=centre, floating_base=base, from_floating_base=(x, y, z))
-
-    def _loose(self) -> Bool[ndarray, "G"]:
-        """Tell which of the moving geoms are of bodies that may go anywhere, and no robot's."""
-        roots = [int(self.model.body_rootid[self.model.geom_bodyid[geom]]) for geom in moving_geoms(self.model)]
-        loose = [root not in self.parts.robot and can_travel(self.model, root) for root in roots]
-        return np.array(loose, dtype=np.bool_)
 
     def _random_states(self) -> Iterator[tuple[bool, mujoco.MjData]]:
         """Yield states of random episodes, as long as they are finite, and whether an episode begins with them.

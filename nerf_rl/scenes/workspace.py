@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy import ndarray
 
 DRAWN_GROUPS = 3  # MuJoCo draws geoms of groups 0, 1 and 2
@@ -20,12 +20,19 @@ class Workspace:
         floating_base: body that may carry the ball away horizontally, such as the torso of a robot that walks; empty if
             there is none.
         from_floating_base: where the middle is at first, as seen from that body, in the world's axes [m].
+        facing: heading in which an arm looks at the ball from its base [degrees]; None if none stands beside it.
     """
 
     centre: Float[ndarray, "3"]
     radius: float
     floating_base: str = ""
     from_floating_base: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    facing: float | None = None
+
+    @property
+    def turn(self) -> float:
+        """By what to turn a camera's azimuth so that one of 90 looks the arm in the face [degrees]; 0 without one."""
+        return 0.0 if self.facing is None else self.facing - 270.0
 
     def centre_in(self, data: mujoco.MjData) -> Float[ndarray, "3"]:
         """Return where the middle is in a state whose positions are propagated, gone with the floating base [m]."""
@@ -86,32 +93,6 @@ def around(centres: Float[ndarray, "T G 3"], radii: Float[ndarray, "G"], left_ou
     centre = (low + high) / 2.0
     distances = np.linalg.norm(centres - centre, axis=-1) + radii
     return Workspace(centre, float(np.quantile(distances, 1.0 - left_out)))
-
-
-def around_what_stays(
-    centres: Float[ndarray, "T G 3"],
-    radii: Float[ndarray, "G"],
-    left_out: float,
-    loose: Bool[ndarray, "G"],
-    begins: Bool[ndarray, "T"],
-) -> Workspace:
-    """Return a ball around geoms in T states, without the ways of what fell out of the scene.
-
-    A block that slips from a hand without a floor below is metres away within a second, and cameras that saw all of its
-    way would show the hand as a dot. Where loose things make the ball more than twice as large as it is with them where
-    their episodes began, it is that one; but dice that are all that there is are looked for where they fall to.
-
-    Args:
-        centres, radii, left_out: as of :func:`around`.
-        loose: which geoms are of bodies that may go anywhere, and no robot's.
-        begins: which states are an episode's first; the first of all is one.
-    """
-    ball = around(centres, radii, left_out)
-    if loose.all():
-        return ball
-    first = np.flatnonzero(begins)[np.cumsum(begins) - 1]
-    kept = around(np.where(loose[:, None], centres[first], centres), radii, left_out)
-    return kept if ball.radius > 2.0 * kept.radius else ball
 
 
 def _of_the_model(model: mujoco.MjModel) -> tuple[Float[ndarray, "3"], float]:
