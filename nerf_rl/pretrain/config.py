@@ -96,11 +96,11 @@ class SamplingConfig:
     training_free_space: Natural = 3
     """samples a training ray, on the last stretch before its known depth"""
     free_space_reach: NotNegative = 0.5
-    """length of that stretch [m]"""
+    """length of that stretch, in distances of things from the encoder's cameras"""
     training_surface: Natural = 3
     """samples a training ray, around its known depth"""
     surface_deviation: NotNegative = 0.02
-    """standard deviation of those [m]"""
+    """standard deviation of those, in distances of things from the encoder's cameras"""
     training_importance: Natural = 0
     """samples a training ray, where the even ones found density; 0 where depth says where to look"""
     rendering_stratified: Annotated[int, Limits(least=2)] = 40
@@ -127,7 +127,7 @@ class LossConfig:
     feature: NotNegative = 0.02
     """squared error of the teachers' features"""
     depth: NotNegative = 0.1
-    """distance of the ray's weight from the known surface [m]"""
+    """distance of the ray's weight from the known surface, in distances of things from the encoder's cameras"""
     anchor: NotNegative = 1.0
     """distance of frames from the visible middle of the classes that they follow, in units of how far those move"""
     segmentation: NotNegative = 0.3

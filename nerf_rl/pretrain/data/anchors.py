@@ -18,7 +18,7 @@ BACKGROUND = 0
 """class id of what nothing follows"""
 _LEAST_PIXELS = 6  # of a class in a frame: the middle of fewer is noise
 _LEAST_SEEN = 0.02  # share of frames that show a class which is followed
-_LEAST_SPREAD_M = 0.002  # of its middle, below which a class stays where it is
+_LEAST_SPREAD = 0.002  # of its middle, as a share of how far off things are: a class that moves less stays where it is
 
 
 class Middles(NamedTuple):
@@ -112,20 +112,23 @@ def visible_sizes(
     return np.where(middles.seen, np.sqrt(squares / np.maximum(count, 1)), 0.0)
 
 
-def choose_anchors(middles: Middles, sizes: Float[ndarray, "B C"], share: Float[ndarray, "C"]) -> Anchors:
+def choose_anchors(
+    middles: Middles, sizes: Float[ndarray, "B C"], share: Float[ndarray, "C"], distance: float
+) -> Anchors:
     """Return the classes that are seen often enough and do not stay where they are.
 
     Args:
         middles: of all classes.
         sizes: of them where they are seen [m].
         share: of the pixels that show each.
+        distance: from the cameras to things [m].
     """
     count = np.maximum(middles.seen.sum(0), 1)
     mean = middles.place.sum(0) / count[:, None]
     squared = ((middles.place - mean) ** 2).sum(-1) * middles.seen
     spread = np.sqrt(squared.sum(0) / count)
     often = middles.seen.mean(0) >= _LEAST_SEEN
-    chosen = np.flatnonzero(often & (spread >= _LEAST_SPREAD_M))
+    chosen = np.flatnonzero(often & (spread >= _LEAST_SPREAD * distance))
     chosen = chosen[chosen != BACKGROUND]
     size = np.sqrt((sizes**2).sum(0) / count)
     return Anchors(tuple(int(c) for c in chosen), mean[chosen], spread[chosen], size[chosen], share[chosen])

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from nerf_rl.cameras.geometry import camera_position, pixel_directions
@@ -38,6 +38,9 @@ class Statistics(NamedTuple):
     """What training needs to know of a dataset as a whole."""
 
     bounds: FieldBounds
+    distance: float
+    """from the encoder's cameras to the things that they see [m], the unit of the lengths in a recipe: a hand is seen
+    from thirty centimetres away, a robot that runs from three metres"""
     class_weights: Float[ndarray, "C"]
     """of a pixel by its class, when rays are drawn"""
     pixel_weights: Float[ndarray, "V H W"]
@@ -78,11 +81,13 @@ def measure(dataset: MultiViewDataset, config: PretrainConfig) -> Statistics:
     change[moving] = change[~moving].mean() if not moving.all() else 0.0
     if DEPTH in dataset.absent:
         pixels = _as_if_looked_at(pixels, poses[:, views], config)
-    bounds = _bounds(dataset, config, pixels, intrinsics[views], poses[:, views])
+    seen = _is_hit(pixels, dataset) & np.isin(views, dataset.views("encoder"))[pixels.view]
+    distance = _distance(dataset, config, pixels, seen)
+    bounds = _bounds(dataset, config, pixels, seen, distance, intrinsics[views], poses[:, views])
     weights = frequency**-config.class_balance, 1.0 + config.change_boost * change
     follows = (config.losses.anchor or config.objective == ANCHORS) and DEPTH not in dataset.absent
-    anchors = choose_anchors(*_things(dataset, frames), frequency) if follows else Anchors.of_nothing()
-    return Statistics(bounds, *weights, anchors)
+    anchors = choose_anchors(*_things(dataset, frames), frequency, distance) if follows else Anchors.of_nothing()
+    return Statistics(bounds, distance, *weights, anchors)
 
 
 def class_change(shown: Int[ndarray, "C V H W"]) -> Float[ndarray, "V H W"]:
@@ -152,30 +157,61 @@ def _as_if_looked_at(pixels: _Pixels, poses: Float[ndarray, "N V 4 4"], config: 
     return pixels._replace(depth=depth[pixels.frame, pixels.view])
 
 
+def _is_hit(pixels: _Pixels, dataset: MultiViewDataset) -> Bool[ndarray, "M"]:
+    """Tell which pixels show anything: where nothing is, depth is that of the renderer's far plane."""
+    return pixels.depth < _HIT * dataset.manifest["far"]
+
+
+def _distance(dataset: MultiViewDataset, config: PretrainConfig, pixels: _Pixels, seen: Bool[ndarray, "M"]) -> float:
+    """Return the median depth [m] of what is not background in the encoder's pictures, or of all if nothing is.
+
+    Args:
+        dataset, config: of the run.
+        pixels: of all cameras.
+        seen: which of them encoder cameras see, and something in them.
+
+    Raises:
+        UserError: they see nothing, and the recipe does not say where things would be.
+    """
+    near, far = config.sampling.near, config.sampling.far
+    things = seen & ~pixels.is_background
+    if seen.any():
+        return float(np.median(pixels.depth[things if things.any() else seen]))
+    if near is None or far is None:
+        raise UserError(f"{dataset.folder}: the encoder's cameras see nothing at all; look at it with nerf-rl view")
+    return (near + far) / 2
+
+
 def _bounds(
     dataset: MultiViewDataset,
     config: PretrainConfig,
     pixels: _Pixels,
+    seen: Bool[ndarray, "M"],
+    distance: float,
     intrinsics: Float[ndarray, "V 3 3"],
     poses: Float[ndarray, "N V 4 4"],
 ) -> FieldBounds:
-    """Return where the field lives, from what is hit: where nothing is, depth is that of the renderer's far plane."""
-    fixed = np.isin(dataset.views("encoder", "supervision"), dataset.views("encoder"))
-    hit = pixels.depth < _HIT * dataset.manifest["far"]
-    seen = hit & fixed[pixels.view]
+    """Return where the field lives, from what is hit.
+
+    Args:
+        dataset, config: of the run.
+        pixels: of all cameras.
+        seen: which of them encoder cameras see, and something in them.
+        distance: of the things there [m].
+        intrinsics, poses: of the cameras.
+
+    Raises:
+        UserError: the limits of the recipe contradict what is hit.
+    """
+    hit = _is_hit(pixels, dataset)
     sampling = config.sampling
-    if not seen.any() and (sampling.near is None or sampling.far is None):
-        raise UserError(f"{dataset.folder}: the encoder's cameras see nothing at all; look at it with nerf-rl view")
     nearest = NEAREST if DEPTH in dataset.absent else _NEAREST
     near = sampling.near  # of all cameras: one that moves may come close to what others see from afar
     if near is None:
         near = nearest * float(np.quantile(pixels.depth[hit], 0.001))
     far = sampling.far
     if far is None:
-        far = _BACKDROP * float(np.median(pixels.depth[seen]))
-        things = pixels.depth[seen & ~pixels.is_background]
-        if len(things):
-            far = min(far, _BACKDROP_OF_THINGS * float(np.median(things)))
+        far = min(_BACKDROP * float(np.median(pixels.depth[seen])), _BACKDROP_OF_THINGS * distance)
     if not 0 < near < far:
         raise UserError(f"sampling needs 0 < near < far, got near {near:.3f} and far {far:.3f}")
 

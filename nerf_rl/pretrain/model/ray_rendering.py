@@ -100,16 +100,18 @@ def render_depth_guided(
     depth: Float[Tensor, "B R"],
     config: SamplingConfig,
     noise: SampleNoise,
+    unit: float = 1.0,
 ) -> RenderedRays:
     """Render rays whose planar depth [m] is known: samples everywhere, before the surface, and around it.
 
     Those before the surface tell the field what is empty where something might have been. With importance samples as
     well, or instead, rays are looked for as if their depth were unknown: where those everywhere found density.
+    ``unit`` is that of the recipe's lengths [m].
     """
     near, far = field.ray_limits(origins, directions)
     even = stratified_samples(near, far, noise.even)
-    before = free_space_samples(torch.minimum(depth, far), config.free_space_reach, near, noise.before)
-    around = surface_samples(depth, config.surface_deviation, near, far, noise.around)
+    before = free_space_samples(torch.minimum(depth, far), unit * config.free_space_reach, near, noise.before)
+    around = surface_samples(depth, unit * config.surface_deviation, near, far, noise.around)
     found = _found_density(field, latent, origins, directions, even, config.training_importance)
     backdrop = torch.full_like(depth[..., None], field.bounds.far)
     depths = torch.cat([torch.cat([even, before, around, found], dim=-1).sort(-1).values, backdrop], dim=-1)

@@ -17,15 +17,20 @@ _BETA = 0.1  # of the anchors' Huber loss: errors above a tenth of the spread co
 
 
 def losses(
-    rendered: RenderedRays, batch: RayBatch, origins: Float[Tensor, "B A 3"], spread: Float[Tensor, "A"]
+    rendered: RenderedRays,
+    batch: RayBatch,
+    origins: Float[Tensor, "B A 3"],
+    spread: Float[Tensor, "A"],
+    unit: float = 1.0,
 ) -> dict[str, Tensor]:
     """Return each loss, unweighted.
 
     ``rgb``: mean squared error of colours. ``semantic``: cross-entropy of class labels. ``feature``: mean squared
-    error of the teachers' features. ``depth``: mean distance of a ray's weight from its known surface [m],
-    ``sum_i w_i |t_i - depth|``, which bounds the error of the expected depth from above and is only zero if all weight
-    lies on the surface. ``anchor``: Huber loss between the frames that follow classes and the visible middles of those,
-    in units of how far each class moves, so that what moves little counts as much; what is hidden counts as right.
+    error of the teachers' features. ``depth``: mean distance of a ray's weight from its known surface, in units,
+    ``sum_i w_i |t_i - depth| / unit``, which bounds the error of the expected depth from above and is only zero if all
+    weight lies on the surface. ``anchor``: Huber loss between the frames that follow classes and the visible middles of
+    those, in units of how far each class moves, so that what moves little counts as much; what is hidden counts as
+    right.
     ``segmentation`` is of the encoder's pictures, not of rays (:func:`segmentation_loss`).
 
     Args:
@@ -33,12 +38,13 @@ def losses(
         batch: what they should show.
         origins: of the frames that follow classes [m].
         spread: how far those classes move [m].
+        unit: of distances from surfaces [m].
     """
     values = rendered.values
     named = {
         "rgb": F.mse_loss(values["rgb"].float(), batch.rgb),
         "semantic": F.cross_entropy(values["semantic"].float().flatten(0, 1), batch.semantic.flatten()),
-        "depth": (rendered.weights * (rendered.depths - batch.depth[..., None]).abs()).sum(-1).mean(),
+        "depth": (rendered.weights * (rendered.depths - batch.depth[..., None]).abs()).sum(-1).mean() / unit,
     }
     if "feature" in values:
         named["feature"] = F.mse_loss(values["feature"].float(), batch.feature)

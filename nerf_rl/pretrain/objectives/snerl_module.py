@@ -64,6 +64,7 @@ class SnerlModule(EncoderModule):
             self.field.semantic_head.requires_grad_(False)
         self.field.place_anchors(*(torch.from_numpy(value) for value in (anchors.mean, anchors.spread, anchors.size)))
         self.register_buffer("anchor_spread", torch.from_numpy(anchors.spread).float(), persistent=False)
+        self._distance = statistics.distance
         self.threads = 1
         """that share the scenes of a training step"""
         self._graph: StepGraph | None = None
@@ -94,12 +95,11 @@ class SnerlModule(EncoderModule):
     def _losses(self, batch: RayBatch, noise: SampleNoise) -> tuple[dict[str, Tensor], Tensor]:
         """Return the losses of some scenes by name, and their weighted sum."""
         latent, landmarks = self.encoder.read(batch.images, batch.projections)
-        rendered = render_depth_guided(
-            self.field, latent, batch.origins, batch.directions, batch.depth, self.config.sampling, noise
-        )
+        rays = batch.origins, batch.directions, batch.depth
+        rendered = render_depth_guided(self.field, latent, *rays, self.config.sampling, noise, self._distance)
         with in_full_precision(self.device):
             origins = self.field.origins(latent)[:, : len(self.anchor_spread)]
-        named = losses(rendered, batch, origins, self.anchor_spread)
+        named = losses(rendered, batch, origins, self.anchor_spread, self._distance)
         if landmarks is not None:
             named[SEGMENTATION] = segmentation_loss(landmarks.logits, batch.shares)
         for kind in self._dataset.absent:

@@ -80,12 +80,15 @@ def test_classes_that_stay_or_are_hardly_ever_seen_are_not_followed():
     seen[:, 0] = False
     place[~seen] = 0.0
     sizes = np.where(seen, [9.0, 9.0, 0.3, 9.0, 0.1], 0.0)
-    anchors = choose_anchors(Middles(place, seen), sizes, np.array([0.6, 0.1, 0.2, 0.06, 0.04]))
+    share = np.array([0.6, 0.1, 0.2, 0.06, 0.04])
+    anchors = choose_anchors(Middles(place, seen), sizes, share, distance=1.0)
     assert anchors.classes == (2, 4)
     np.testing.assert_allclose(anchors.mean, [[0, 0, 0], [0.5, 0.5, 0.0]], atol=0.02)
     assert anchors.share.tolist() == [0.2, 0.04]
     np.testing.assert_allclose(anchors.size, [0.3, 0.1])
     np.testing.assert_allclose(anchors.spread, [0.05 * 3**0.5, 0.02 * 3**0.5], rtol=0.15)
+    assert choose_anchors(Middles(place, seen), sizes, share, distance=25.0).classes == (2,)  # seen from far off
+    assert choose_anchors(Middles(place, seen), sizes, share, distance=0.05).classes == (1, 2, 4)
 
 
 def test_what_moves_in_a_dataset_is_followed_and_batches_say_where_it_is(dataset: MultiViewDataset):
