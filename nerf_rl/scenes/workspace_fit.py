@@ -60,9 +60,9 @@ class WorkspaceFit:
     def workspace(self, shown: mujoco.MjData) -> Workspace:
         """Return the ball around what moves, or around what an arm handles if that is much smaller.
 
-        A mobile robot with an arm is more than a metre high, and a block on the table before it were two pixels of a
-        picture that shows all of it. Cameras that see no more than hand and block are near to the robot, and might be
-        behind its back or within it, so which way it faces is told, too.
+        A mobile robot with an arm is more than a metre high, and of a block on the table before it four pixels would be
+        left in a picture that shows all of it. Cameras that see no more than hand and block are near to the robot, and
+        might be behind its back or within it, so which way it faces is told, too.
 
         Where a robot travels, the ball goes with it horizontally, and is large enough for its ups and downs. What falls
         when each episode begins is not looked at: it is a marker that an environment puts to its place where it draws.
