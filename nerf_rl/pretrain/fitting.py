@@ -120,6 +120,8 @@ def fit(config: PretrainConfig, dataset: MultiViewDataset, folder: Path, checkpo
     module = make_module(config, dataset, data, threads if accelerator == "cpu" else 1)
     if checkpoint is not None:
         require_resumable(checkpoint, module, trainer)
+    if trainer.is_global_zero and (data.statistics.anchors.classes or data.statistics.anchors.seldom):
+        print(data.statistics.anchors.describe(dataset.class_names), flush=True)
     try:
         with closed_at_end(loggers):
             if config.objective != RANDOM:

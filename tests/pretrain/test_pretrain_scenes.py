@@ -43,7 +43,8 @@ def test_a_class_that_no_frame_shows_has_no_iou_and_the_run_ends(
     shown = [value for value in summary["class_iou"].values() if value is not None]
     assert summary["validation"]["miou"] == pytest.approx(sum(shown) / len(shown))
     assert Encoder.load(out).scene == str(tmp_path / "scene.xml")
-    assert "mIoU" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "mIoU" in told and "; hardly any picture shows buried, so z is not told where that is\n" in told
 
 
 def test_the_shipped_blocks_pretrain_to_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

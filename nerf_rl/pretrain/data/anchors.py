@@ -4,6 +4,7 @@ A photometric loss has no slope towards a small thing that it does not overlap, 
 thing that matters. A middle has a slope from anywhere. It takes labels and depth, and nothing of the simulator's state.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +44,14 @@ class Anchors(NamedTuple):
     """root mean square distance of the points that cameras see of them from their middle [m]"""
     share: Float[ndarray, "A"]
     """of the pixels that show them"""
+    seldom: tuple[int, ...] = ()
+    """ids of classes that hardly any frame shows, of which nobody knows whether they move"""
+
+    def describe(self, class_names: Sequence[str]) -> str:
+        """Return which classes are followed, and which cannot be, in a line."""
+        followed, seldom = (", ".join(class_names[c] for c in chosen) for chosen in (self.classes, self.seldom))
+        told = f"following what moves: {followed or 'nothing'}"
+        return f"{told}; hardly any picture shows {seldom}, so z is not told where that is" if seldom else told
 
     @classmethod
     def of_nothing(cls) -> "Anchors":
@@ -115,7 +124,7 @@ def visible_sizes(
 def choose_anchors(
     middles: Middles, sizes: Float[ndarray, "B C"], share: Float[ndarray, "C"], distance: float
 ) -> Anchors:
-    """Return the classes that are seen often enough and do not stay where they are.
+    """Return the classes that are seen often enough and do not stay where they are, and those that are seen too seldom.
 
     Args:
         middles: of all classes.
@@ -128,10 +137,12 @@ def choose_anchors(
     squared = ((middles.place - mean) ** 2).sum(-1) * middles.seen
     spread = np.sqrt(squared.sum(0) / count)
     often = middles.seen.mean(0) >= _LEAST_SEEN
-    chosen = np.flatnonzero(often & (spread >= _LEAST_SPREAD * distance))
-    chosen = chosen[chosen != BACKGROUND]
+    moves = often & (spread >= _LEAST_SPREAD * distance)
+    moves[BACKGROUND] = False
+    chosen = np.flatnonzero(moves)
     size = np.sqrt((sizes**2).sum(0) / count)
-    return Anchors(tuple(int(c) for c in chosen), mean[chosen], spread[chosen], size[chosen], share[chosen])
+    classes, seldom = (tuple(int(c) for c in ids if c != BACKGROUND) for ids in (chosen, np.flatnonzero(~often)))
+    return Anchors(classes, mean[chosen], spread[chosen], size[chosen], share[chosen], seldom)
 
 
 def countable_labels(semantic: UInt8[ndarray, "*S"], valid: Bool[ndarray, "*S"] | None) -> UInt8[ndarray, "*S"]:

@@ -82,7 +82,11 @@ def test_classes_that_stay_or_are_hardly_ever_seen_are_not_followed():
     sizes = np.where(seen, [9.0, 9.0, 0.3, 9.0, 0.1], 0.0)
     share = np.array([0.6, 0.1, 0.2, 0.06, 0.04])
     anchors = choose_anchors(Middles(place, seen), sizes, share, distance=1.0)
-    assert anchors.classes == (2, 4)
+    assert anchors.classes == (2, 4) and anchors.seldom == (3,)
+    names = ["background", "fixture", "block", "ball", "hand"]
+    told = "following what moves: block, hand; hardly any picture shows ball, so z is not told where that is"
+    assert anchors.describe(names) == told
+    assert anchors._replace(seldom=()).describe(names) == "following what moves: block, hand"
     np.testing.assert_allclose(anchors.mean, [[0, 0, 0], [0.5, 0.5, 0.0]], atol=0.02)
     assert anchors.share.tolist() == [0.2, 0.04]
     np.testing.assert_allclose(anchors.size, [0.3, 0.1])
