@@ -73,9 +73,12 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
         require_one_run(run)
     resuming = config.resume and not config.seeds and not is_baseline and _can_resume(run, config)
     beside_latent = check_scene(spec, config.demonstrations > 0)
-    if config.replay.hindsight and encoder is not None:
-        raise UserError("--replay.hindsight exchanges goals in the true state; leave out --encoder or hindsight")
-    goal_task = make_goal_task(spec) if config.replay.hindsight else None
+    if config.replay.hindsight_random and encoder is not None:
+        raise UserError(
+            f"--replay.hindsight_random {config.replay.hindsight_random} draws goals from what was observed at any "
+            "time, and an agent with an --encoder does not observe what it achieved; give 0"
+        )
+    goal_task = make_goal_task(spec, beside_latent) if config.replay.hindsight else None
     if config.replay.hindsight and goal_task is None:
         raise UserError(f"--replay.hindsight needs a scene with a goal in its observation; {config.scene} has none")
     if config.seeds:

@@ -39,7 +39,7 @@ class StructuredScene(Scene):
         return self._columns.privileged(self.render_data())
 
     def workspace(self) -> Workspace:
-        """Return the ball around what moves, or what an arm handles, in a few random episodes; it goes with a robot.
+        """Return the ball around what moves, or what an arm handles, in random episodes; it goes with what travels.
 
         The first call acts them and resets the environment, so it is no call for the middle of an episode; who needs no
         cameras, such as an agent on the true state, never acts them.

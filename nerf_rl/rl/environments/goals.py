@@ -70,6 +70,25 @@ class GoalLayout:
         return relived
 
 
+@dataclass(frozen=True)
+class GoalBesideLatent:
+    """Where the desired goal lies in what an agent with an encoder observes, whose user asked for it by name.
+
+    It does not observe what is achieved, such as where a block is: :class:`AchievedGoal` tells hindsight alone.
+    """
+
+    start: int
+    """of the goal, counted from the end: negative"""
+    size: int
+    """numbers of the goal"""
+
+    def with_goal(self, vector: Float[ndarray, "*T O"], goal: Float[ndarray, "*T G"]) -> Float[ndarray, "*T O"]:
+        """Return the vectors as they would be if the desired goals were these."""
+        relived, first = vector.copy(), vector.shape[-1] + self.start
+        relived[..., first : first + self.size] = goal
+        return relived
+
+
 def goal_layout(env: gymnasium.Env) -> GoalLayout:
     """Return how the goals of an environment that has some lie in its observation.
 
@@ -95,22 +114,32 @@ class GoalObservation(gymnasium.ObservationWrapper):
         return self._layout.vector(observation)
 
 
+class AchievedGoal(gymnasium.Wrapper):
+    """Tells in its information which goal each step of a goal environment achieved."""
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return observation, reward, terminated, truncated, {**info, ACHIEVED: np.ravel(observation[ACHIEVED])}
+
+
 class GoalTask:
-    """What hindsight relabelling has to know of a task, on vectors that :class:`GoalObservation` makes.
+    """What hindsight relabelling has to know of a task, on what an agent observes.
 
     Rewards and terminations are the environment's own. They are asked for step by step, since not every environment
     takes arrays of goals.
 
     Args:
         rules: the environment's.
-        layout: of its observations.
+        layout: of the agent's observations, which :class:`GoalObservation` makes, or a latent with goals beside.
     """
 
-    def __init__(self, rules: GoalRules, layout: GoalLayout):
+    def __init__(self, rules: GoalRules, layout: GoalLayout | GoalBesideLatent):
         self._rules, self._layout = rules, layout
 
     def achieved(self, observation: Float[ndarray, "*T O"]) -> Float[ndarray, "*T G"]:
-        """Return the goal that each observation fulfils."""
+        """Return the goal that each observation of the true state fulfils."""
+        assert isinstance(self._layout, GoalLayout)
         return self._layout.achieved(observation)
 
     def with_goal(self, observation: Float[ndarray, "*T O"], goal: Float[ndarray, "*T G"]) -> Float[ndarray, "*T O"]:

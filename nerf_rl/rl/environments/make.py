@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import multiprocessing
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,7 +19,7 @@ from nerf_rl.machine.gl import use_one_software_thread
 from nerf_rl.machine.processes import start_method, start_server
 from nerf_rl.rl.config import BLIND, NO_CONTROL, RANDOM, PandaReachConfig
 from nerf_rl.rl.environments.encoder_match import compare_scenes
-from nerf_rl.rl.environments.goals import GoalTask, goal_layout, has_goal
+from nerf_rl.rl.environments.goals import DESIRED, AchievedGoal, GoalBesideLatent, GoalTask, goal_layout, has_goal
 from nerf_rl.rl.environments.observed_columns import ObservedColumns
 from nerf_rl.rl.environments.panda_reach import PANDA_REACH, PandaReach
 from nerf_rl.rl.environments.scripted import ScriptedActions
@@ -96,16 +96,36 @@ def make_env(spec: EnvSpec, encoder: Any = None, device: str = "cpu") -> tuple[g
     eyes = encoder or Encoder.load(spec.encoder)
     compare_scenes(eyes.scene, spec.scene)
     eyes = eyes.untrained() if spec.control == RANDOM else eyes
+    env = AchievedGoal(env) if has_goal(env) else env
     latent = LatentObservation(env, eyes, beside_latent, device, spec.control == BLIND)
     if spec.control == RANDOM:
         standardise_by_looking(latent)
     return latent, scene
 
 
-def make_goal_task(spec: EnvSpec) -> GoalTask | None:
-    """Return what hindsight needs to know of a task; None for scenes whose goals cannot be exchanged."""
+def make_goal_task(spec: EnvSpec, beside_latent: Sequence[str] = ()) -> GoalTask | None:
+    """Return what hindsight needs to know of a task; None for scenes whose goals cannot be exchanged.
+
+    Args:
+        spec: of the agent's environment.
+        beside_latent: what :func:`check_scene` returns of it.
+
+    Raises:
+        UserError: the agent has an encoder and does not observe the goal, which thereby cannot be exchanged.
+    """
     env: Any = PandaReach(spec.panda) if spec.scene == PANDA_REACH else _make_scene(spec).env
-    return GoalTask(env.unwrapped, goal_layout(env)) if spec.encoder is None and has_goal(env) else None
+    if not has_goal(env):
+        return None
+    layout = goal_layout(env)
+    if spec.encoder is None:
+        return GoalTask(env.unwrapped, layout)
+    first = f"{DESIRED}_0"
+    if first not in beside_latent:
+        raise UserError(
+            "--replay.hindsight exchanges the desired goal, which an agent with an --encoder observes by --observe "
+            f'"[{DESIRED}]" alone; give it, or leave out hindsight'
+        )
+    return GoalTask(env.unwrapped, GoalBesideLatent(beside_latent.index(first) - len(beside_latent), layout.goal))
 
 
 def check_scene(spec: EnvSpec, demonstrations: bool = False) -> tuple[str, ...]:

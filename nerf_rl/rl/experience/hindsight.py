@@ -44,6 +44,7 @@ class Hindsight:
         self._observations: list[ndarray] = []
         self._actions: list[ndarray] = []
         self._next_observations: list[ndarray] = []
+        self._achieved: list[ndarray] = []
 
     def push(
         self,
@@ -51,11 +52,19 @@ class Hindsight:
         action: Float[ndarray, "A"],
         next_observation: Float[ndarray, "O"],
         ended: bool,
+        achieved: Float[ndarray, "G"] | None = None,
     ) -> list[Transition]:
-        """Take one step in; return the episode's relabelled transitions when it has ended."""
+        """Take one step in; return the episode's relabelled transitions when it has ended.
+
+        Args:
+            observation, action, next_observation: of the step.
+            ended: whether the episode did with it.
+            achieved: the goal that it fulfilled; None if ``next_observation`` tells.
+        """
         self._observations.append(observation)
         self._actions.append(action)
         self._next_observations.append(next_observation)
+        self._achieved.append(self._task.achieved(next_observation) if achieved is None else achieved)
         return self.cut() if ended else []
 
     def cut(self) -> list[Transition]:
@@ -64,14 +73,14 @@ class Hindsight:
         transitions = []
         if length:
             observations, next_observations = np.stack(self._observations), np.stack(self._next_observations)
-            achieved = self._task.achieved(next_observations)
+            achieved = np.stack(self._achieved)
             for _ in range(self._copies):
                 goals = self._goals(achieved)
                 relabelled = [
                     self._relabel(observations, next_observations, t, achieved, goals[t]) for t in range(length)
                 ]
                 transitions += relabelled
-        self._observations, self._actions, self._next_observations = [], [], []
+        self._observations, self._actions, self._next_observations, self._achieved = [], [], [], []
         return transitions
 
     def _goals(self, achieved: Float[ndarray, "T G"]) -> Float[ndarray, "T G"]:

@@ -21,7 +21,7 @@ from nerf_rl.rl.agents.agent import ValuingAgent, make_agent
 from nerf_rl.rl.agents.policy import act
 from nerf_rl.rl.agents.policy_file import encoder_digest
 from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
-from nerf_rl.rl.environments.goals import GoalTask
+from nerf_rl.rl.environments.goals import ACHIEVED, GoalTask
 from nerf_rl.rl.environments.make import TIMEOUT, reset_some
 from nerf_rl.rl.experience.hindsight import Hindsight
 from nerf_rl.rl.experience.n_step import NStep
@@ -277,9 +277,11 @@ class Trainer:
         for env, n_step in enumerate(self._n_steps):
             step = (observation[env], action[env], float(learnt[env]), next_observation[env])
             self.replay.add(n_step.push(*step, bool(terminated[env]), bool(truncated[env])), env)
+        achieved = info.get(ACHIEVED, [None] * len(action))
         for env, hindsight in enumerate(self._hindsight):
             ended = bool(terminated[env] or truncated[env])
-            self.replay.add(hindsight.push(observation[env], action[env], next_observation[env], ended))
+            seen = (observation[env], action[env], next_observation[env])
+            self.replay.add(hindsight.push(*seen, ended, achieved[env]))
         self.agent.update_statistics(next_observation)
         self.env_steps += int(info["env_steps"].sum())
         self._returns += reward

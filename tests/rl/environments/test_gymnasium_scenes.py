@@ -12,9 +12,11 @@ from own_environments import BLOCK, LATE_SLIDER, NAMED_GOAL_SLIDER, ROOT, SLIDER
 from nerf_rl import cli
 from nerf_rl.errors import UserError
 from nerf_rl.rl.environments.goals import GoalTask
-from nerf_rl.rl.environments.make import EnvSpec, make_env, make_goal_task
+from nerf_rl.rl.environments.make import EnvSpec, check_scene, make_env, make_goal_task
 from nerf_rl.rl.environments.observed_columns import ObservedColumns
 from nerf_rl.rl.environments.wrappers import with_flat_observation, with_unit_actions
+from nerf_rl.rl.experience.hindsight import Hindsight
+from nerf_rl.rl.experience.n_step import Transition
 from nerf_rl.rl.rollout import rollout
 from nerf_rl.scenes.base import success_in
 from nerf_rl.scenes.make import make_scene
@@ -29,6 +31,12 @@ CHEETAH = "gym/HalfCheetah-v5"  # it travels, and its encoder's cameras with it
 def encoder_of(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
     """A scene's name and a tiny encoder of it."""
     return request.param, make_encoder(request.param, tmp_path_factory.mktemp("gym"))
+
+
+@pytest.fixture(scope="module")
+def slider_encoder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tiny encoder of a scene whose goal no camera shows."""
+    return make_encoder(SLIDER, tmp_path_factory.mktemp("slider"))
 
 
 @pytest.fixture(scope="module")
@@ -200,6 +208,59 @@ def test_goals_are_exchanged_as_the_environment_would():
             assert (rewards[0], ends[0]) == (reward, terminated)
             observation = wanted
     env.close()
+
+
+def test_goals_that_a_latent_agent_observes_by_name_are_exchanged_and_nothing_else(slider_encoder: Path):
+    spec = EnvSpec(SLIDER, str(slider_encoder), 1, 20, observe=("cart_x", "desired_goal", "achieved_goal"))
+    beside = check_scene(spec)
+    task = make_goal_task(spec, beside)
+    assert isinstance(task, GoalTask)
+    env, scene = make_env(spec)
+    assert scene is not None
+    other: Any = scene.env.unwrapped
+    observation, _ = env.reset(seed=1)
+    place = len(observation) - len(beside) + beside.index("desired_goal_0")
+    assert observation[place] == np.float32(other.goal[0])
+    for goal in ([0.0], [0.2]):
+        relived = task.with_goal(observation, np.array(goal))
+        assert relived[place] == np.float32(goal[0]) and (relived != observation).sum() == 1
+        other.goal = np.array(goal)
+        observation, reward, terminated, _, info = env.step(np.array([0.4], np.float32))
+        assert info["achieved_goal"].tolist() == scene.data.qpos.tolist()
+        rewards, ends = task.outcome(info["achieved_goal"][None], np.array([goal]))
+        assert (rewards[0], ends[0]) == (reward, terminated)
+    env.close()
+
+
+def test_hindsight_learns_from_latents_where_the_goal_is_observed_by_name(
+    slider_encoder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    achieved, relived, push = [], [], Hindsight.push
+
+    def watched(self: Hindsight, *step: Any) -> list[Transition]:
+        achieved.append(step[-1].item())
+        transitions = push(self, *step)
+        relived.extend(float(transition.observation[-1]) for transition in transitions)
+        return transitions
+
+    monkeypatch.setattr(Hindsight, "push", watched)
+    words = ["--scene", SLIDER, "--encoder", str(slider_encoder), "--replay.hindsight", "4"]
+    assert train(tmp_path / "run", *words, "--observe", "[desired_goal]") == 0
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["updates"] > 0 and "success_rate" in summary["evaluations"][-1]
+    assert len(relived) >= 4 * 20 and set(relived) <= set(np.float32(achieved).tolist())
+
+
+def test_hindsight_from_latents_that_cannot_be_is_refused(
+    slider_encoder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    words = ["--scene", SLIDER, "--encoder", str(slider_encoder), "--replay.hindsight", "4"]
+    assert train(tmp_path / "run", *words) == 2
+    assert 'an agent with an --encoder observes by --observe "[desired_goal]" alone' in capsys.readouterr().err
+    words += ["--observe", "[desired_goal]", "--replay.hindsight_random", "0.5"]
+    assert train(tmp_path / "run", *words) == 2
+    assert "--replay.hindsight_random 0.5 draws goals from what was observed at any time" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
 
 
 def test_hindsight_learns_a_sparse_goal_environment(tmp_path: Path):
