@@ -4,7 +4,7 @@ Run from a checkout's root; what is finished is not done again:
 
     .venv/bin/python -m tools.compare.scenes gym/Reacher-v5 gym/Pusher-v5
     .venv/bin/python -m tools.compare.scenes gym/gymnasium_robotics:FetchReach-v4 --recipe rl/gym-goal.yaml \
-        --agents state --seeds 0..4
+        --observe desired_goal --seeds 0..4
     .venv/bin/python -m tools.compare.scenes gym/HalfCheetah-v5 --agents --robot_links together --encoder_seed 1
 
 Each scene gets a dataset and an encoder by the shipped recipes, the encoder as many steps as that of the demo. Agents
@@ -51,17 +51,20 @@ def main() -> None:
     parser.add_argument("--recipe", default=AGENT_RECIPE, help="of the agents")
     parser.add_argument("--agents", nargs="*", choices=EYES, default=list(EYES))
     parser.add_argument("--seeds", default="0..2", help="as train-rl takes them")
+    parser.add_argument("--observe", nargs="*", default=[], help="columns of the true state beside a latent")
     parser.add_argument("--robot_links", help="of the dataset, if it is not the recipe's")
     parser.add_argument("--encoder_seed", type=int, default=0, help="of the dataset and the encoder")
     parser.add_argument("--work", type=Path, default=Path("data/scenes"), help="folder of datasets and runs")
     arguments = parser.parse_args()
     for scene in arguments.scenes:
-        row = {"scene": scene, "recipe": arguments.recipe, "seed": arguments.encoder_seed, **run(scene, arguments)}
+        row = {"scene": scene, "recipe": arguments.recipe, "seed": arguments.encoder_seed}
+        row |= {"observe": arguments.observe} if arguments.observe else {}
+        row |= run(scene, arguments)
         row |= {"git_revision": git_revision(), "packages": package_versions(), "processor": processor()}
         known = read_json(RESULT)["scenes"] if RESULT.exists() else []
         rows = sorted([*(other for other in known if which(other) != which(row)), row], key=which)
         command = "python -m tools.compare.scenes SCENES --recipe RECIPE --agents AGENTS --seeds SEEDS"
-        command += " --robot_links LINKS --encoder_seed SEED"
+        command += " --observe COLUMNS --robot_links LINKS --encoder_seed SEED"
         write_json(RESULT, {"command": command, "recipes": [DATASET_RECIPE, ENCODER_RECIPE], "scenes": rows})
         tables = {"scenes": agents_table(rows), "scene-probes": probes_table(rows)}
         write_tables(AGENTS_PAGE, tables)
@@ -89,6 +92,7 @@ def run(scene: str, arguments: argparse.Namespace) -> dict[str, Any]:
         found |= {name: read_json(encoder / SUMMARY)[name] for name in PROBES}
     for sees in arguments.agents:
         out, eyes = work / sees, [*EYES[sees], str(encoder)] if EYES[sees] else []
+        eyes += ["--observe", f"[{', '.join(arguments.observe)}]"] if eyes and arguments.observe else []
         keys = ["--scene", scene, *eyes, "--seeds", arguments.seeds, "--out", str(out), "--resume", "true"]
         command(out, "train-rl", "--config", arguments.recipe, *keys)
         found["agents"][sees] = read_json(out / SUMMARY)
