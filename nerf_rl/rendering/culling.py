@@ -1,4 +1,4 @@
-"""Which geoms a camera cannot see, by their bounding boxes: drawing those would cost time and no pixel."""
+"""Which geoms a camera cannot see, by their bounding boxes, and which are seen through: what need not be drawn."""
 
 import mujoco
 import numpy as np
@@ -9,6 +9,7 @@ from nerf_rl.cameras.geometry import camera_position
 from nerf_rl.scenes.workspace import DRAWN_GROUPS
 
 _ZERO = 1e-9
+_FAINT = 0.5  # of a mark's opacity, below which it is seen through
 _SLACK = 1.02  # of the boxes: simplified meshes may stand out of the original's box a little
 
 
@@ -57,6 +58,17 @@ class FrustumCulling:
         away[view, geom] = _apart(np.concatenate([box, across], 1), centre[view, geom], box, half[geom], edges)
         result[:, tested] = away
         return result
+
+
+def faint_markers(model: mujoco.MjModel) -> Bool[ndarray, "G"]:
+    """Tell which geoms are marks for people, through which everything is seen: they have no label and no depth.
+
+    The axes, two metres long, of the mocap body that leads Fetch's hand hardly show in a picture, but would cut its
+    depth and its labels in pieces. Marks belong to a mocap body, touch nothing and are less than half opaque.
+    """
+    leads = model.body_mocapid[model.body_rootid[model.geom_bodyid]] >= 0
+    touches = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    return leads & ~touches & (model.geom_rgba[:, 3] < _FAINT)
 
 
 def planes_from_behind(

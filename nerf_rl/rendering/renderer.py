@@ -18,7 +18,7 @@ from numpy import ndarray
 from nerf_rl.cameras.geometry import camera_position
 from nerf_rl.errors import UserError
 from nerf_rl.machine.gl import is_software, renderer_name
-from nerf_rl.rendering.culling import FrustumCulling, planes_from_behind
+from nerf_rl.rendering.culling import FrustumCulling, faint_markers, planes_from_behind
 from nerf_rl.rendering.level_of_detail import simplify_meshes
 from nerf_rl.rendering.near_plane import near_plane
 from nerf_rl.rendering.offscreen_target import OffscreenTarget
@@ -98,6 +98,7 @@ class MultiViewRenderer:
         self._near = near_plane(model)
         self.far = float(model.vis.map.zfar * model.stat.extent)
         self._culling = FrustumCulling(model, height, width, self._near)
+        self._faint = faint_markers(model)
         self._labels_insides = quality == "smooth"
         colours = targets[-1]
         pixels = self._at_once * colours.height * colours.width
@@ -165,15 +166,15 @@ class MultiViewRenderer:
         if self._labels is None:
             raise ValueError("this renderer was made for colours alone")
         hidden = self._look(data, intrinsics, camera_from_world)
-        unlabelled = hidden
+        unlabelled = hidden | self._faint
         if self._labels_insides:  # a plane has no inside, but would be drawn from behind as well
-            unlabelled = hidden | planes_from_behind(self._model, data, camera_from_world)
+            unlabelled = unlabelled | planes_from_behind(self._model, data, camera_from_world)
         labelled = self._picture(self._labels, data, intrinsics, camera_from_world, unlabelled)
         labels, buffer = _upright(labelled.pixels), _upright(labelled.depth)
         depth = self._near * self.far / (self._near + buffer * (self.far - self._near))
         covered = None
         if self._labels.target is self._colours.target:  # pixels have the colours of what they are labelled
-            covered = labelled.opaque[:, None] & ~_shown(labels, self._model.ngeom)
+            covered = labelled.opaque[:, None] & ~_shown(labels, self._model.ngeom) & ~self._faint
         rgb = self._rgb_at_once(data, intrinsics, camera_from_world, hidden, covered)
         return Views(rgb, depth.astype(np.float32), labels)
 
