@@ -85,7 +85,7 @@ class WorkspaceFit:
 
     def _around(self, chosen: Bool[ndarray, "G"]) -> Workspace:
         places, radii = np.stack(self._places)[:, chosen], self._radii[chosen]
-        return around_what_stays(places, radii, self._is_loose[chosen], np.array(self._begins))
+        return _around_what_stays(places, radii, self._is_loose[chosen], np.array(self._begins))
 
     def _around_what_is_handled(self, whole: Workspace, handled: Workspace) -> Workspace:
         """Return the smaller ball, and which way the robot faces if it stands beside, or the whole one."""
@@ -109,7 +109,7 @@ class WorkspaceFit:
         return self._is_loose & (down[self._roots] > _FALLS)
 
 
-def around_what_stays(
+def _around_what_stays(
     centres: Float[ndarray, "T G 3"],
     radii: Float[ndarray, "G"],
     loose: Bool[ndarray, "G"],
