@@ -4,6 +4,7 @@ import re
 from typing import NamedTuple
 
 import mujoco
+import numpy as np
 
 _GRIPPER = re.compile(r"gripper|hand|finger|claw|jaw|effector", re.IGNORECASE)
 _SURROUNDINGS = re.compile(
@@ -11,6 +12,8 @@ _SURROUNDINGS = re.compile(
     r"([_-]?(top|base|legs?|link|body|\d+))*$",
     re.IGNORECASE,
 )
+_ARM_JOINTS = 3  # at least, from an arm's base to its hand
+_FINGER_JOINTS = 5  # at most, in each finger; an arm has more
 
 
 class BodyParts(NamedTuple):
@@ -29,7 +32,8 @@ def find_parts(model: mujoco.MjModel) -> BodyParts:
 
     Trees with an actuator are robots, and so are those that a weld or a connection ties to a mocap body: many arms are
     led by their hand. Within them, the bodies nearest to the root with a name of a gripper (hand,
-    finger, ...) are grippers. Fixed trees with a name of furniture or of a room's parts are surroundings.
+    finger, ...) are grippers; of an arm without such names it is the body where its chain of joints branches into
+    fingers. Fixed trees with a name of furniture or of a room's parts are surroundings.
     """
     driven = actuated_bodies(model) | led_bodies(model)
     robot = sorted({int(model.body_rootid[body]) for body in driven} - {0})
@@ -38,6 +42,8 @@ def find_parts(model: mujoco.MjModel) -> BodyParts:
         inside = int(model.body_rootid[body]) in robot and body not in robot
         if inside and _GRIPPER.search(model.body(body).name) and not set(chain(model, body)) & set(gripper):
             gripper.append(body)
+    if not gripper:
+        gripper = [hand for root in robot if (hand := _hand(model, root))]
     moved = {int(model.body_rootid[body]) for body in range(1, model.nbody) if model.body_jntnum[body]}
     roots = {int(model.body_rootid[body]) for body in range(1, model.nbody)}
     surroundings = sorted(root for root in roots - moved if _SURROUNDINGS.match(model.body(root).name))
@@ -99,6 +105,23 @@ def led_bodies(model: mujoco.MjModel) -> set[int]:
         if any(leads):
             bodies |= {body for body, lead in zip(tied, leads, strict=True) if not lead}
     return bodies
+
+
+def _hand(model: mujoco.MjModel, root: int) -> int:
+    """Return the body at which an arm that stands on its root branches into fingers; 0 if there is none.
+
+    Makers name the parts of their grippers as they like (a Robotiq's are base, driver, coupler, follower and pad).
+    """
+    joints = np.zeros(model.nbody, np.int64)  # of a body and all that is below it
+    for body in range(model.nbody - 1, 0, -1):  # children come after parents
+        joints[body] += model.body_jntnum[body]
+        joints[model.body_parentid[body]] += joints[body]
+    hand, before = root, int(model.body_jntnum[root])
+    while len(branches := [child for child in np.flatnonzero(model.body_parentid == hand) if joints[child]]) == 1:
+        hand = int(branches[0])
+        before += int(model.body_jntnum[hand])
+    fingers = branches and all(joints[branch] <= _FINGER_JOINTS for branch in branches)
+    return hand if fingers and before >= _ARM_JOINTS and not can_travel(model, root) else 0
 
 
 def can_travel(model: mujoco.MjModel, body: int) -> bool:
