@@ -1,5 +1,6 @@
 """Environments of one's own: registered with Gymnasium, of the examples and of this file, and tiny encoders of them."""
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ ROOT = Path(__file__).parents[1]
 RECIPE = str(ROOT / "rl" / "gym.yaml")
 CAMERAS = "rig: {encoder: [view_0, view_1], test: [view_2], random: {count: 1}}\n"
 BLOCK = "gym/reach_block:ReachBlock-v0"
+DM_CONTROL = "gym/shimmy:dm_control/cartpole-balance-v0"
+with_dm_control = pytest.mark.skipif(find_spec("shimmy") is None, reason="needs the extra dm_control")
 
 
 class Slider(gymnasium.Env):

@@ -10,6 +10,8 @@ from nerf_rl.doctor.finding import Finding, shortened
 
 EXTRAS = {
     "lerobot": ("av", "av"),
+    "dm_control": ("shimmy", "shimmy"),
+    "robotics": ("gymnasium_robotics", "gymnasium-robotics"),
     "panda": ("panda_gym", "panda-gym"),
     "sb3": ("stable_baselines3", "stable-baselines3"),
     "ray": ("ray", "ray"),

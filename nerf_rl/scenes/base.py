@@ -14,11 +14,12 @@ from numpy import ndarray
 from nerf_rl.cameras.rig_config import CameraConfig
 from nerf_rl.scenes.body_parts import BodyParts
 from nerf_rl.scenes.render_data import RenderData
+from nerf_rl.scenes.simulation import simulation_of
 from nerf_rl.scenes.workspace import Workspace
 
 METAWORLD, GYM = "metaworld/", "gym/"
 """what the names of scenes begin with"""
-_SUCCESS = ("success", "is_success")  # names that environments give it in a step's information
+_SUCCESS = ("success", "is_success", "succeed", "solved")  # names that environments give it in a step's information
 
 Policy = Callable[[Any], ndarray]
 """From an observation to an action [A] in [-1, 1]."""
@@ -44,12 +45,12 @@ class Scene(ABC):
     @property
     def model(self) -> mujoco.MjModel:
         """The simulated model."""
-        return self.env.unwrapped.model  # type: ignore[attr-defined]
+        return simulation_of(self.env).model
 
     @property
     def data(self) -> mujoco.MjData:
         """The simulation's state."""
-        return self.env.unwrapped.data  # type: ignore[attr-defined]
+        return simulation_of(self.env).data
 
     def render_data(self) -> mujoco.MjData:
         """Return the state to be drawn, with positions propagated from ``qpos``; the simulation is untouched."""

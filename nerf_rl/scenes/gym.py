@@ -5,18 +5,18 @@ from importlib.metadata import version
 from typing import Any
 
 import gymnasium
-import mujoco
 from gymnasium.envs.registration import registry
 
 from nerf_rl.errors import UnknownNameError, UserError
 from nerf_rl.scenes.base import GYM
+from nerf_rl.scenes.simulation import find_simulation
 from nerf_rl.scenes.structured import StructuredScene
 
 _MUJOCO_ENTRY = "mujoco"
 
 
 class GymScene(StructuredScene):
-    """A Gymnasium environment whose ``unwrapped`` has MuJoCo's ``model`` and ``data``.
+    """A Gymnasium environment on MuJoCo, whose model and state :func:`nerf_rl.scenes.simulation.find_simulation` finds.
 
     Args:
         name: its id, such as ``Ant-v5``, or ``MODULE:ID`` if a module has to be imported first to register it.
@@ -37,8 +37,7 @@ class GymScene(StructuredScene):
                 self.env = gymnasium.make(name, disable_env_checker=True)
         except Exception as error:  # environments raise all sorts of things for packages that they miss
             raise UserError(f"Gymnasium environment '{name}' cannot be made: {' '.join(str(error).split())}") from error
-        simulation: Any = self.env.unwrapped
-        if not isinstance(getattr(simulation, "model", None), mujoco.MjModel):
+        if find_simulation(self.env) is None:
             raise UserError(f"Gymnasium environment '{name}' is not on MuJoCo: it has no mujoco.MjModel")
         super().__init__()
 

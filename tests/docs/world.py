@@ -51,7 +51,7 @@ SMALLER = {
 TASKS = {"SLURM_ARRAY_TASK_ID": ("1", "2")}
 """Variables, and for which of their values a command is run."""
 NEEDS = {"gymnasium_robotics": "gymnasium_robotics", "panda": "panda_gym", "ppo": "stable_baselines3", "mesh": "open3d"}
-NEEDS |= {"lerobot": "av"}
+NEEDS |= {"lerobot": "av", "shimmy": "shimmy"}
 """What a command's line holds that needs an optional package."""
 FIRST = {
     "--encoder runs/fetch-encoder": (

@@ -5,7 +5,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from own_environments import ANOTHER_SLIDER
+from own_environments import ANOTHER_SLIDER, DM_CONTROL, with_dm_control
 
 from nerf_rl import cli
 from nerf_rl.cameras.geometry import project
@@ -19,6 +19,7 @@ from nerf_rl.scenes.state_columns import joints
 
 BLOCKS = "datasets/scenes/blocks.xml"
 SCENES = (BLOCKS, "gym/Ant-v5", "gym/Pusher-v5", "gym/InvertedPendulum-v5")
+WITH_DM_CONTROL = (*SCENES, pytest.param(DM_CONTROL, marks=with_dm_control))
 
 
 def states(scene: Scene, seed: int, steps: int = 8) -> list[np.ndarray]:
@@ -31,7 +32,7 @@ def states(scene: Scene, seed: int, steps: int = 8) -> list[np.ndarray]:
     return shown
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", WITH_DM_CONTROL)
 def test_a_seed_decides_an_episode_and_seeds_differ(name: str):
     scene = make_scene(name)
     first = states(scene, 3)
@@ -58,7 +59,7 @@ def test_looking_at_a_scene_does_not_change_what_happens_in_it(name: str):
         np.testing.assert_array_equal(looked.data.xpos, alone.data.xpos)
 
 
-@pytest.mark.parametrize("name", (*SCENES, "metaworld/hammer-v3"))
+@pytest.mark.parametrize("name", (*WITH_DM_CONTROL, "metaworld/hammer-v3"))
 def test_joints_are_told_apart_and_make_up_the_state(name: str):
     model = make_scene(name).model
     found = joints(model)
@@ -68,7 +69,7 @@ def test_joints_are_told_apart_and_make_up_the_state(name: str):
         assert {"name": "green_block", "kind": "free"} in found and {"name": "left", "kind": "slide"} in found
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", WITH_DM_CONTROL)
 def test_what_is_shown_is_the_state_that_is_stored(name: str):
     scene = make_scene(name)
     states(scene, 1)

@@ -135,8 +135,7 @@ class Behaviour:
 
     def _require_stable(self, step: int) -> None:
         """Refuse what MuJoCo has given up on: it warns on values beyond all bounds and starts from its reference."""
-        data = getattr(self._scene.env.unwrapped, "data", None)
-        if data is not None and any(data.warning[kind].number for kind in _DIVERGED):
+        if any(self._scene.data.warning[kind].number for kind in _DIVERGED):
             raise UserError(
                 f"the simulation of {self._scene.name} diverges at step {step}: positions or accelerations are not "
                 "finite; lower the model's timestep or its actuators' control ranges"

@@ -14,7 +14,7 @@ from nerf_rl.rl.config import Control
 
 POLICY_VERSION = 3
 POLICY_WEIGHTS, POLICY_DESCRIPTION = "policy.safetensors", "policy.json"
-_KNOWN_MODULES = ("gymnasium_robotics",)
+_KNOWN_MODULES = ("gymnasium_robotics", "shimmy")
 """which register environments and do nothing else, and may be imported because an agent of somebody else asks for it"""
 _SIZE = whole(1, 2**20)
 _WIDTHS = listing(_SIZE, 0, 64)

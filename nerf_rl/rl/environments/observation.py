@@ -21,6 +21,7 @@ from nerf_rl.rendering.following import body_id
 from nerf_rl.rendering.renderer import MultiViewRenderer
 from nerf_rl.rl.environments.encoder_match import warn_of_other_rendering
 from nerf_rl.scenes.render_data import RenderData
+from nerf_rl.scenes.simulation import simulation_of
 
 
 class LatentObservation(gymnasium.ObservationWrapper):
@@ -33,7 +34,7 @@ class LatentObservation(gymnasium.ObservationWrapper):
         env = LatentObservation(env, encoder, proprio=lambda observation: observation[:4])
 
     Args:
-        env: any environment whose ``unwrapped`` has MuJoCo's ``model`` and ``data``.
+        env: any environment on MuJoCo, whose model and state :func:`nerf_rl.scenes.simulation.find_simulation` finds.
         encoder: a loaded encoder, or where to load it from.
         proprio: from the environment's observation to what is observed beside the latent [P], such as what the robot
             knows of itself; None for the latent alone.
@@ -65,8 +66,7 @@ class LatentObservation(gymnasium.ObservationWrapper):
         if device is not None:
             self.encoder.to(device)
         self._proprio = proprio
-        simulation: Any = env.unwrapped
-        self._followed = self._body_in(simulation.model)
+        self._followed = self._body_in(simulation_of(env).model)
         self._recorded_of: tuple[Encoder, torch.device] | None = None
         self._encode: Callable[[Tensor], Tensor] = self.encoder.encode
         self._renderer: MultiViewRenderer | None = None
@@ -120,7 +120,7 @@ class LatentObservation(gymnasium.ObservationWrapper):
 
         Environments that randomise what they are made of may compile another model for each episode.
         """
-        simulation: Any = self.env.unwrapped
+        simulation = simulation_of(self.env)
         if self._renderer is not None and self._render_data is not None:
             if self._render_data.model is simulation.model:
                 return self._renderer
@@ -137,9 +137,8 @@ class LatentObservation(gymnasium.ObservationWrapper):
 
     def _render(self) -> UInt8[ndarray, "V H W 3"]:
         renderer, rig = self._make_renderer(), self.encoder.rig
-        simulation: Any = self.env.unwrapped
         assert self._render_data is not None
-        data, poses = self._render_data.of(simulation.data), rig.camera_from_world
+        data, poses = self._render_data.of(simulation_of(self.env).data), rig.camera_from_world
         if rig.tracking_frame is not None:
             poses = to_world(poses, rig.tracking_frame.origin(data.xpos[self._followed]))
         return renderer.render_rgb(data, rig.intrinsics, poses)

@@ -7,7 +7,18 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from own_environments import BLOCK, LATE_SLIDER, NAMED_GOAL_SLIDER, ROOT, SLIDER, Slider, make_encoder, train
+from own_environments import (
+    BLOCK,
+    DM_CONTROL,
+    LATE_SLIDER,
+    NAMED_GOAL_SLIDER,
+    ROOT,
+    SLIDER,
+    Slider,
+    make_encoder,
+    train,
+    with_dm_control,
+)
 
 from nerf_rl import cli
 from nerf_rl.errors import UserError
@@ -27,7 +38,7 @@ REACHER = "gym/Reacher-v5"
 CHEETAH = "gym/HalfCheetah-v5"  # it travels, and its encoder's cameras with it
 
 
-@pytest.fixture(scope="module", params=[REACHER, BLOCK, CHEETAH])
+@pytest.fixture(scope="module", params=[REACHER, BLOCK, CHEETAH, pytest.param(DM_CONTROL, marks=with_dm_control)])
 def encoder_of(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
     """A scene's name and a tiny encoder of it."""
     return request.param, make_encoder(request.param, tmp_path_factory.mktemp("gym"))
@@ -173,8 +184,9 @@ def test_goals_that_are_dictionaries_become_part_of_the_vector(capsys: pytest.Ca
     assert train(tmp_path / "run", "--scene", NAMED_GOAL_SLIDER) == 0
 
 
-def test_success_is_read_under_both_names_and_absent_without():
-    assert success_in({"is_success": np.float32(1.0)}) is True
+def test_success_is_read_under_the_names_that_packages_give_it_and_absent_without():
+    for name in ("is_success", "success", "succeed", "solved"):
+        assert success_in({name: np.float32(1.0)}) is True
     assert success_in({"success": 0.0, "other": 1}) is False
     assert success_in({"reward_dist": 1.0}) is None
 
