@@ -98,11 +98,37 @@ class AnotherSlider(Slider):
         return super().reset(seed=seed, options=options)
 
 
+class TargetSlider(Slider):
+    """It writes where its targets are into the model, or into the place of a mocap body, and how high its table is."""
+
+    XML = Slider.XML.replace(
+        "</worldbody>",
+        """<geom name="disc" type="cylinder" size="0.04 0.01" pos="0 0 1"/><geom name="post" size="0.04" pos="0 1 0"/>
+        <body name="flag"><body name="cloth"><geom size="0.04"/></body></body>
+        <body name="mark" mocap="true"><geom size="0.04"/></body>
+        <body name="lead" mocap="true"><geom size="0.04"/></body>
+        <body name="table" pos="0 0 -1"><geom type="box" size="2 2 0.1"/></body>
+        <body name="shelf" pos="0 1 0"><geom type="box" size="0.1 0.1 0.1"/></body></worldbody>
+        <equality><weld body1="lead" body2="cart"/></equality>""",
+    )
+    PLACED = ("disc", "flag", "mark")
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict[str, Any], dict]:
+        observation, info = super().reset(seed=seed, options=options)
+        self.places = self.np_random.uniform([-0.5, -0.5, 0.0], 0.5, (3, 3))
+        self.model.geom("disc").pos, self.model.body("flag").pos, self.data.mocap_pos[0] = self.places
+        self.data.mocap_pos[1] = self.np_random.uniform(-0.1, 0.1, 3)
+        self.model.body("table").pos[2] = self.np_random.uniform(-1.1, -1.0)
+        return observation, info
+
+
+gymnasium.register("TargetSlider-v0", entry_point=TargetSlider, max_episode_steps=20)
 gymnasium.register("AnotherSlider-v0", entry_point=AnotherSlider, max_episode_steps=20)
 gymnasium.register("Slider-v0", entry_point=Slider, max_episode_steps=20)
 gymnasium.register("NamedGoalSlider-v0", entry_point=NamedGoalSlider, max_episode_steps=20)
 gymnasium.register("LateSlider-v0", entry_point=LateSlider, max_episode_steps=20)
 SLIDER, NAMED_GOAL_SLIDER = "gym/own_environments:Slider-v0", "gym/own_environments:NamedGoalSlider-v0"
+TARGET_SLIDER = "gym/own_environments:TargetSlider-v0"
 ANOTHER_SLIDER = "gym/own_environments:AnotherSlider-v0"
 LATE_SLIDER = "gym/own_environments:LateSlider-v0"
 

@@ -13,6 +13,7 @@ from numpy import ndarray
 from nerf_rl.errors import UserError
 from nerf_rl.rendering.class_config import ClassConfig, RobotLinks
 from nerf_rl.scenes.body_parts import BodyParts, chain
+from nerf_rl.scenes.placed import placed_name
 from nerf_rl.scenes.workspace import is_drawn
 
 BACKGROUND = "background"
@@ -43,11 +44,12 @@ def semantic_classes(
     The first pattern found in a geom's path decides. Otherwise geoms below a gripper are *gripper*, others below a
     robot *robot*; a body that moves by a joint of its own is a class of its own with what is fixed to it; what is fixed
     in the same tree (a cabinet around a drawer) is a class by its body's name; a fixed tree that can be seen (a shelf)
-    is a class by its root's name; surroundings and what belongs to no body are background.
+    is a class by its root's name; surroundings and what belongs to no body are background. What an environment places
+    anew in each episode is none, whatever it belongs to: it has its body's name, or the geom's own in the world.
 
     Args:
         model: compiled.
-        parts: which bodies are robots, grippers and surroundings.
+        parts: which bodies are robots, grippers and surroundings, and what is placed.
         patterns: classes by pattern.
         robot_links: ``apart``: a robot's bodies that move by joints of their own are classes, like any other body;
             ``apart_if_alone``: only where nothing moves but robots, and they have no gripper.
@@ -65,6 +67,8 @@ def semantic_classes(
         found = next((i for i, expression in enumerate(expressions) if expression.search(path)), None)
         if found is None:
             name = automatic.name(int(model.geom_bodyid[geom]))
+            if name == BACKGROUND and geom in parts.placed:
+                name = placed_name(model, geom)
         else:
             name = patterns[found].name
             matched.add(found)

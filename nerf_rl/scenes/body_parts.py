@@ -17,7 +17,7 @@ _FINGER_JOINTS = 5  # at most, in each finger; an arm has more
 
 
 class BodyParts(NamedTuple):
-    """Ids of bodies; what is below a body belongs to it."""
+    """Ids of bodies, of which what is below a body belongs to it, and of geoms."""
 
     robot: tuple[int, ...] = ()
     """roots of the trees that are moved by actuators, or led by a mocap body"""
@@ -25,6 +25,8 @@ class BodyParts(NamedTuple):
     """bodies that the robot grasps with"""
     surroundings: tuple[int, ...] = ()
     """roots of fixed trees that nothing is done with, such as a table"""
+    placed: tuple[int, ...] = ()
+    """geoms that no joint moves and that stand elsewhere in each episode all the same, such as a target's"""
 
 
 def find_parts(model: mujoco.MjModel) -> BodyParts:
@@ -93,7 +95,16 @@ def actuated_bodies(model: mujoco.MjModel) -> set[int]:
 
 def led_bodies(model: mujoco.MjModel) -> set[int]:
     """Return the ids of the bodies that an equality constraint, active from the start, lets follow a mocap body."""
-    bodies: set[int] = set()
+    return {led for led, _ in _led_and_leading(model)}
+
+
+def leading_bodies(model: mujoco.MjModel) -> set[int]:
+    """Return the ids of the mocap bodies that those follow, and that a camera is not meant to see."""
+    return {leading for _, leading in _led_and_leading(model)}
+
+
+def _led_and_leading(model: mujoco.MjModel) -> list[tuple[int, int]]:
+    pairs: list[tuple[int, int]] = []
     for constraint in range(model.neq):
         ties = model.eq_type[constraint] in (mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_CONNECT)
         if not (ties and model.eq_active0[constraint]):
@@ -101,10 +112,11 @@ def led_bodies(model: mujoco.MjModel) -> set[int]:
         tied = [int(model.eq_obj1id[constraint]), int(model.eq_obj2id[constraint])]
         if model.eq_objtype[constraint] == mujoco.mjtObj.mjOBJ_SITE:
             tied = [int(model.site_bodyid[site]) for site in tied]
-        leads = [bool(model.body_mocapid[model.body_rootid[body]] >= 0) for body in tied]
-        if any(leads):
-            bodies |= {body for body, lead in zip(tied, leads, strict=True) if not lead}
-    return bodies
+        for led, leading in (tied, tied[::-1]):
+            root = int(model.body_rootid[leading])
+            if model.body_mocapid[root] >= 0 > model.body_mocapid[model.body_rootid[led]]:
+                pairs.append((led, root))
+    return pairs
 
 
 def _hand(model: mujoco.MjModel, root: int) -> int:

@@ -6,6 +6,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from nerf_rl.scenes.body_parts import BodyParts, can_travel, chain
+from nerf_rl.scenes.placed import placed_name
 
 _SCALAR_JOINTS = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 
@@ -14,12 +15,12 @@ class StateColumns:
     """What the robot knows of itself, and what only the simulator knows.
 
     The first are position [rad or m] and velocity [rad/s or m/s] of each hinge and slide of the robot's, after the
-    joints' names. The second are the positions [m] of the robot's root if it travels, of its grippers, and of every
-    other body that moves by a joint of its own, after the bodies' names.
+    joints' names. The second are the positions [m] of the robot's root if it travels, of its grippers, of every other
+    body that moves by a joint of its own, and of what an environment places anew in each episode, after their names.
 
     Args:
         model: of the scene.
-        parts: which of its bodies are the robot.
+        parts: which of its bodies are the robot, and what is placed.
     """
 
     def __init__(self, model: mujoco.MjModel, parts: BodyParts):
@@ -37,6 +38,11 @@ class StateColumns:
         objects = [body for body in sorted(moved) if not set(chain(model, body)) & set(parts.robot)]
         self._bodies = list(dict.fromkeys([*roots, *parts.gripper, *objects]))
         labels = [model.body(body).name.removesuffix("_link") or f"body_{body}" for body in self._bodies]
+        placed: dict[str, int] = {}  # the first geom of each thing
+        for geom in parts.placed:
+            placed.setdefault(placed_name(model, geom), geom)
+        self._placed = list(placed.values())
+        labels += [f"{name}_placed" if name in labels else name for name in placed]
         self.privileged_names = tuple(f"{label}_{axis}" for label in labels for axis in "xyz")
 
     def proprio(self, data: mujoco.MjData) -> Float[ndarray, "P"]:
@@ -45,7 +51,7 @@ class StateColumns:
 
     def privileged(self, data: mujoco.MjData) -> Float[ndarray, "Q"]:
         """Return the values of ``privileged_names``; positions must be propagated."""
-        return data.xpos[self._bodies].ravel()
+        return np.concatenate([data.xpos[self._bodies].ravel(), data.geom_xpos[self._placed].ravel()])
 
 
 def joints(model: mujoco.MjModel) -> list[dict[str, str]]:

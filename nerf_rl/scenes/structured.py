@@ -13,12 +13,14 @@ from numpy import ndarray
 from nerf_rl.cameras.rig_config import CameraConfig, RingConfig
 from nerf_rl.scenes.base import Scene, model_digest
 from nerf_rl.scenes.body_parts import find_parts
+from nerf_rl.scenes.placed import PlacedGeoms
 from nerf_rl.scenes.state_columns import StateColumns
 from nerf_rl.scenes.unit_actions import in_range
 from nerf_rl.scenes.workspace import Workspace
 from nerf_rl.scenes.workspace_fit import WorkspaceFit
 
 _EPISODES, _STEPS, _HOLD = 4, 40, 10  # from which the workspace is fitted
+_RESETS = 4  # after which it is known what stands elsewhere in each episode
 
 
 class StructuredScene(Scene):
@@ -27,6 +29,7 @@ class StructuredScene(Scene):
     def __init__(self) -> None:
         self.env.reset(seed=0)
         self.parts = find_parts(self.model)
+        self.parts = self.parts._replace(placed=self._find_placed())
         self._columns = StateColumns(self.model, self.parts)
         self.proprio_names, self.privileged_names = self._columns.proprio_names, self._columns.privileged_names
 
@@ -60,6 +63,20 @@ class StructuredScene(Scene):
     def provenance(self) -> dict[str, Any]:
         """Return name and versions, and the digest of the compiled model."""
         return {**super().provenance(), "model_sha256": model_digest(self.model)}
+
+    def _find_placed(self) -> tuple[int, ...]:
+        """Return what an environment puts elsewhere in each episode, though no joint moves it.
+
+        The scene is then as after its first reset.
+        """
+        places = PlacedGeoms(self.model, self.parts)
+        for seed in range(1, _RESETS):
+            places.add(self.render_data())
+            self.env.reset(seed=seed)
+            if self.model is not places.model:
+                break  # compiled anew, so that geoms cannot be compared
+        self.env.reset(seed=0)
+        return places.found()
 
     def _random_states(self) -> Iterator[tuple[bool, mujoco.MjData]]:
         """Yield states of random episodes, as long as they are finite, and whether an episode begins with them.

@@ -62,21 +62,24 @@ def fit_workspace(model: mujoco.MjModel, data: mujoco.MjData) -> Workspace:
     return around(centres[None], radii, 0.0) if len(radii) else Workspace(*_of_the_model(model))
 
 
-def moving_balls(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Float[ndarray, "G 3"], Float[ndarray, "G"]]:
-    """Return centres and radii [m] of the drawn geoms of bodies that can move, or of all that end if none can.
+def moving_balls(
+    model: mujoco.MjModel, data: mujoco.MjData, placed: tuple[int, ...] = ()
+) -> tuple[Float[ndarray, "G 3"], Float[ndarray, "G"]]:
+    """Return centres and radii [m] of the geoms of :func:`moving_geoms`.
 
     Args:
         model: of the scene.
         data: its state, with positions propagated.
+        placed: as there.
     """
-    chosen = moving_geoms(model)
+    chosen = moving_geoms(model, placed)
     return data.geom_xpos[chosen].copy(), model.geom_rbound[chosen].copy()
 
 
-def moving_geoms(model: mujoco.MjModel) -> list[int]:
-    """Return the drawn geoms of bodies that can move, or all that end if none can."""
+def moving_geoms(model: mujoco.MjModel, placed: tuple[int, ...] = ()) -> list[int]:
+    """Return the drawn geoms of bodies that can move, and those that are placed, or all that end if there are none."""
     drawn = [geom for geom in range(model.ngeom) if is_drawn(model, geom) and model.geom_rbound[geom] > 0]
-    return [geom for geom in drawn if model.body_weldid[model.geom_bodyid[geom]] != 0] or drawn
+    return [geom for geom in drawn if model.body_weldid[model.geom_bodyid[geom]] != 0 or geom in placed] or drawn
 
 
 def around(centres: Float[ndarray, "T G 3"], radii: Float[ndarray, "G"], left_out: float) -> Workspace:

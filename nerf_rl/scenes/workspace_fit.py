@@ -23,7 +23,7 @@ class WorkspaceFit:
 
     Args:
         model: of the scene.
-        parts: its robot and gripper.
+        parts: its robot and gripper, and what is placed.
     """
 
     def __init__(self, model: mujoco.MjModel, parts: BodyParts):
@@ -31,7 +31,7 @@ class WorkspaceFit:
         travellers = (root for root in parts.robot if can_travel(model, root))
         self._base = next((name for root in travellers if (name := model.body(root).name)), "")
         self._frame = TrackingFrame(self._base)
-        bodies = [int(model.geom_bodyid[geom]) for geom in moving_geoms(model)]
+        bodies = [int(model.geom_bodyid[geom]) for geom in moving_geoms(model, parts.placed)]
         self._roots = [int(model.body_rootid[body]) for body in bodies]
         grasps = [bool(set(chain(model, body)) & set(parts.gripper)) for body in bodies]
         self._is_arm = np.array([root in parts.robot for root in self._roots], np.bool_) & ~np.array(grasps, np.bool_)
@@ -48,7 +48,7 @@ class WorkspaceFit:
 
     def add(self, shown: mujoco.MjData, begins: bool) -> None:
         """Take a state with propagated positions, and whether an episode begins with it; the first one does."""
-        places, self._radii = moving_balls(self._model, shown)
+        places, self._radii = moving_balls(self._model, shown, self._parts.placed)
         origin = self._origin(shown)
         self._places.append(places - origin)
         self._origins.append(origin)
