@@ -16,16 +16,17 @@ class Simulation(NamedTuple):
 def find_simulation(env: gymnasium.Env) -> Simulation | None:
     """Return the model and the state that an environment steps, or None if it keeps them nowhere that is known here.
 
-    Gymnasium's own environments have them as ``model`` and ``data``. Those of dm_control have a ``physics`` whose
-    ``model.ptr`` and ``data.ptr`` they are, inside ``_env`` as Shimmy and gym-aloha wrap them.
+    Gymnasium's own environments have them as ``model`` and ``data``. Of dm_control's physics they are ``model.ptr`` and
+    ``data.ptr``; Shimmy has it as ``physics``, gym-aloha as ``_env.physics``, and MyoSuite as ``sim``.
     """
     inside: Any = env.unwrapped
-    model, data = getattr(inside, "model", None), getattr(inside, "data", None)
-    if not isinstance(model, mujoco.MjModel):
-        physics = getattr(getattr(inside, "_env", inside), "physics", None)
-        model, data = (getattr(getattr(physics, name, None), "ptr", None) for name in ("model", "data"))
-    found = isinstance(model, mujoco.MjModel) and isinstance(data, mujoco.MjData)
-    return Simulation(model, data) if found else None
+    direct = getattr(inside, "model", None), getattr(inside, "data", None)
+    holders = getattr(inside, "physics", None), _get(inside, "_env", "physics"), getattr(inside, "sim", None)
+    wrapped = ((_get(holder, "model", "ptr"), _get(holder, "data", "ptr")) for holder in holders)
+    for model, data in (direct, *wrapped):
+        if isinstance(model, mujoco.MjModel) and isinstance(data, mujoco.MjData):
+            return Simulation(model, data)
+    return None
 
 
 def simulation_of(env: gymnasium.Env) -> Simulation:
@@ -38,3 +39,7 @@ def simulation_of(env: gymnasium.Env) -> Simulation:
     if found is None:
         raise TypeError(f"{env} has no MuJoCo model and data, nor a physics of dm_control")
     return found
+
+
+def _get(thing: Any, name: str, of_that: str) -> Any:
+    return getattr(getattr(thing, name, None), of_that, None)
