@@ -86,6 +86,22 @@ class LateSlider(Slider):
         return observation, reward, self.left == 0, False, {} if self.left else {"is_success": True}
 
 
+class RecompiledSlider(Slider):
+    """Its model is compiled anew at each reset, as robosuite's are, with other places, sizes and colours."""
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict[str, Any], dict]:
+        rng = np.random.default_rng(seed)
+        x, y, z = rng.uniform(-0.3, 0.3, 3)
+        colour = " ".join(map(str, rng.uniform(0.2, 1.0, 3)))
+        post = f'<body name="post" pos="{x} {y} {abs(z)}"><geom size="0.05" rgba="{colour} 1"/></body>'
+        xml = self.XML.replace('size="0.05"', f'size="{rng.uniform(0.04, 0.08)}"').replace(
+            "</worldbody>", post + "</worldbody>"
+        )
+        self.model = mujoco.MjModel.from_xml_string(xml)
+        self.data = mujoco.MjData(self.model)
+        return super().reset(seed=seed, options=options)
+
+
 class AnotherSlider(Slider):
     """Its cart is of another size in each episode, for which the model is compiled anew; so is the order of bodies."""
 
@@ -123,12 +139,14 @@ class TargetSlider(Slider):
 
 
 gymnasium.register("TargetSlider-v0", entry_point=TargetSlider, max_episode_steps=20)
+gymnasium.register("RecompiledSlider-v0", entry_point=RecompiledSlider, max_episode_steps=20)
 gymnasium.register("AnotherSlider-v0", entry_point=AnotherSlider, max_episode_steps=20)
 gymnasium.register("Slider-v0", entry_point=Slider, max_episode_steps=20)
 gymnasium.register("NamedGoalSlider-v0", entry_point=NamedGoalSlider, max_episode_steps=20)
 gymnasium.register("LateSlider-v0", entry_point=LateSlider, max_episode_steps=20)
 SLIDER, NAMED_GOAL_SLIDER = "gym/own_environments:Slider-v0", "gym/own_environments:NamedGoalSlider-v0"
 TARGET_SLIDER = "gym/own_environments:TargetSlider-v0"
+RECOMPILED_SLIDER = "gym/own_environments:RecompiledSlider-v0"
 ANOTHER_SLIDER = "gym/own_environments:AnotherSlider-v0"
 LATE_SLIDER = "gym/own_environments:LateSlider-v0"
 

@@ -138,9 +138,9 @@ class _Camera:
             return cv2.resize(square, (self._size, self._size), interpolation=cv2.INTER_AREA)
         data = self._scene.render_data()
         if self._renderer is None:
-            self._renderer = MultiViewRenderer(self._scene.model, self._size, self._size, 1)
+            self._renderer = MultiViewRenderer(self._scene.drawn_model, self._size, self._size, 1)
         if self._side is None:
-            self._side = _free_side(self._scene.model, data, self._workspace)
+            self._side = _free_side(self._scene.drawn_model, data, self._workspace)
         pose = _pose(data, self._workspace, self._side)
         return self._renderer.render_rgb(data, self._intrinsics, pose)[0]
 

@@ -52,11 +52,20 @@ class Scene(ABC):
         """The simulation's state."""
         return simulation_of(self.env).data
 
+    @property
+    def drawn_model(self) -> mujoco.MjModel:
+        """What :meth:`render_data` is of, for who draws: it stays where episodes compile models that are made alike."""
+        return self._drawn().model
+
     def render_data(self) -> mujoco.MjData:
         """Return the state to be drawn, with positions propagated from ``qpos``; the simulation is untouched."""
-        if self._render_data is None or self._render_data.model is not self.model:  # it may be another in each episode
+        return self._drawn().of(simulation_of(self.env))
+
+    def _drawn(self) -> RenderData:
+        if self._render_data is None:
             self._render_data = RenderData(self.model)
-        return self._render_data.of(self.data)
+        self._render_data.follow(self.model)
+        return self._render_data
 
     @abstractmethod
     def proprio(self, observation: Any) -> Float[ndarray, "P"]:

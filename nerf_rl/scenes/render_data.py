@@ -1,6 +1,17 @@
 """The state of a simulation as it is drawn: the one that ``qpos`` holds, wherever the simulation is in its step."""
 
+import copy
+
 import mujoco
+import numpy as np
+
+from nerf_rl.scenes.simulation import Simulation
+
+_MADE_OF = ("mesh_", "tex_", "hfield_", "skin_")  # what OpenGL is given for good
+_STRUCTURE = (
+    *("names", "body_parentid", "body_mocapid", "body_jntnum", "jnt_type", "jnt_bodyid", "cam_bodyid", "cam_mode"),
+    *("geom_type", "geom_bodyid", "geom_dataid", "geom_group", "light_bodyid", "mat_texid"),
+)
 
 
 class RenderData:
@@ -9,24 +20,57 @@ class RenderData:
     After ``mj_step`` MuJoCo's positions are those of one substep before ``qpos``. They are propagated in a copy,
     because environments may read the old ones in their next step.
 
+    Many environments compile their model anew at each reset (dm_control's manipulation, robosuite). As long as the new
+    one differs in values alone, such as places, sizes and colours, they are copied into one that stays, so that whoever
+    draws may keep what was made for it.
+
     Args:
         model: of the simulation; what has been moved in it is read at each call.
 
     Attributes:
-        model: the same.
+        model: that the states are of, in the same state; another one if the simulation's is made otherwise than before.
     """
 
     def __init__(self, model: mujoco.MjModel):
-        self.model, self._copy = model, mujoco.MjData(model)
+        self.model = self._followed = model
+        self._is_own = False
+        self._copy = mujoco.MjData(model)
 
-    def of(self, data: mujoco.MjData) -> mujoco.MjData:
+    def of(self, simulation: Simulation) -> mujoco.MjData:
         """Return a state to draw, which the next call overwrites; the simulation is untouched."""
-        model, copy = self.model, self._copy
-        copy.qpos[:], copy.qvel[:], copy.time = data.qpos, data.qvel, data.time
-        copy.mocap_pos[:], copy.mocap_quat[:] = data.mocap_pos, data.mocap_quat
-        mujoco.mj_kinematics(model, copy)
-        mujoco.mj_comPos(model, copy)
-        mujoco.mj_camlight(model, copy)
-        mujoco.mj_flex(model, copy)
-        mujoco.mj_tendon(model, copy)
-        return copy
+        self.follow(simulation.model)
+        model, data, shown = self.model, simulation.data, self._copy
+        shown.qpos[:], shown.qvel[:], shown.time = data.qpos, data.qvel, data.time
+        shown.mocap_pos[:], shown.mocap_quat[:] = data.mocap_pos, data.mocap_quat
+        mujoco.mj_kinematics(model, shown)
+        mujoco.mj_comPos(model, shown)
+        mujoco.mj_camlight(model, shown)
+        mujoco.mj_flex(model, shown)
+        mujoco.mj_tendon(model, shown)
+        return shown
+
+    def follow(self, model: mujoco.MjModel) -> None:
+        """Take over the values of the model that the simulation has now, or that itself if it is made otherwise."""
+        if model is self._followed:
+            return
+        if self._is_own and _made_alike(self.model, model):
+            for name in _arrays(model):
+                getattr(self.model, name)[...] = getattr(model, name)
+        else:
+            self._is_own = _made_alike(self.model, model)
+            self.model = copy.deepcopy(model) if self._is_own else model
+            self._copy = mujoco.MjData(self.model)
+        self._followed = model
+
+
+def _made_alike(one: mujoco.MjModel, other: mujoco.MjModel) -> bool:
+    """Tell whether two models have the same elements, in the same order and made of the same meshes and textures."""
+    sizes = [name for name in dir(one) if name.startswith("n") and isinstance(getattr(one, name), int)]
+    if any(getattr(one, name) != getattr(other, name) for name in sizes):
+        return False
+    made_of = [name for name in _arrays(one) if name.startswith(_MADE_OF)]
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in (*_STRUCTURE, *made_of))
+
+
+def _arrays(model: mujoco.MjModel) -> list[str]:
+    return [name for name in dir(model) if name[0] != "_" and isinstance(getattr(model, name), np.ndarray)]

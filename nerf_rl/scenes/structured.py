@@ -20,7 +20,7 @@ from nerf_rl.scenes.workspace import Workspace
 from nerf_rl.scenes.workspace_fit import WorkspaceFit
 
 _EPISODES, _STEPS, _HOLD = 4, 40, 10  # from which the workspace is fitted
-_RESETS = 4  # after which it is known what stands elsewhere in each episode
+_RESETS = 5  # after which it is known what stands elsewhere in each episode
 
 
 class StructuredScene(Scene):
@@ -30,6 +30,7 @@ class StructuredScene(Scene):
         self.env.reset(seed=0)
         self.parts = find_parts(self.model)
         self.parts = self.parts._replace(placed=self._find_placed())
+        self._model_digest = model_digest(self.model)  # before other episodes write into it
         self._columns = StateColumns(self.model, self.parts)
         self.proprio_names, self.privileged_names = self._columns.proprio_names, self._columns.privileged_names
 
@@ -62,19 +63,21 @@ class StructuredScene(Scene):
 
     def provenance(self) -> dict[str, Any]:
         """Return name and versions, and the digest of the compiled model."""
-        return {**super().provenance(), "model_sha256": model_digest(self.model)}
+        return {**super().provenance(), "model_sha256": self._model_digest}
 
     def _find_placed(self) -> tuple[int, ...]:
         """Return what an environment puts elsewhere in each episode, though no joint moves it.
 
         The scene is then as after its first reset.
         """
-        places = PlacedGeoms(self.model, self.parts)
-        for seed in range(1, _RESETS):
+        self.render_data()  # so that one model stands for all that are compiled at resets from the next one on
+        self.env.reset(seed=1)
+        places = PlacedGeoms(self.drawn_model, self.parts)
+        for seed in range(2, _RESETS):
             places.add(self.render_data())
             self.env.reset(seed=seed)
-            if self.model is not places.model:
-                break  # compiled anew, so that geoms cannot be compared
+            if self.drawn_model is not places.model:
+                break  # of other parts, which cannot be compared
         self.env.reset(seed=0)
         return places.found()
 

@@ -186,7 +186,7 @@ def test_a_scene_that_compiles_its_model_anew_makes_no_dataset(tmp_path: Path, c
     arguments = ["--episodes", "2", "--frames_per_episode", "2", "--episode_steps", "3", "--size", "16"]
     words = ["gen-dataset", "--scene", ANOTHER_SLIDER, "--out", str(tmp_path / "data"), "--workers", "1", *arguments]
     assert cli.main(words) == 1
-    assert "compiles another model in episode 0, and a dataset is of one" in capsys.readouterr().err
+    assert "compiles a model of other parts in episode 0, and a dataset is of one" in capsys.readouterr().err
     assert not (tmp_path / "data" / "manifest.json").exists()
 
 

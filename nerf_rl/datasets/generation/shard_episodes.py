@@ -32,7 +32,7 @@ class RenderContext(NamedTuple):
 
     scene: Scene
     model: mujoco.MjModel
-    """of the scene, which the others are made for"""
+    """that the scene's states are drawn by, which the others are made for"""
     behaviour: Behaviour
     renderer: MultiViewRenderer
     rig: Rig
@@ -44,7 +44,7 @@ def open_render_context(config: GenDatasetConfig) -> RenderContext:
     """Build the scene, the renderer and what describes them; raises UserError for names that do not exist."""
     scene = make_scene(config.scene)
     rig = make_rig(config.rig, config.size, scene)
-    model = scene.model
+    model = scene.drawn_model
     behaviour = Behaviour(scene, config.behaviour, config.episode_steps)
     classes = semantic_classes(model, scene.parts, config.classes, config.robot_links)
     pixels_per_metre = rig.pixels_per_metre(scene.render_data())
@@ -125,10 +125,10 @@ def render_episode(
     for place, now in enumerate(steps):
         if place not in kept:
             continue
-        if scene.model is not context.model:
+        if scene.drawn_model is not context.model:
             raise FailureError(
-                f"{scene.name} compiles another model in episode {episode}, and a dataset is of one; let its resets "
-                "change the values of one model instead"
+                f"{scene.name} compiles a model of other parts in episode {episode}, and a dataset is of one; let its "
+                "resets change values alone, such as places, sizes and colours"
             )
         shown = scene.render_data()
         poses = context.rig.poses(shown, rng)

@@ -70,6 +70,7 @@ class LatentObservation(gymnasium.ObservationWrapper):
         self._recorded_of: tuple[Encoder, torch.device] | None = None
         self._encode: Callable[[Tensor], Tensor] = self.encoder.encode
         self._renderer: MultiViewRenderer | None = None
+        self._rendered: mujoco.MjModel | None = None  # what the renderer was made for
         self._render_data: RenderData | None = None
         size = self.encoder.latent_size + (0 if proprio is None else len(proprio(env.observation_space.sample())))
         self.observation_space = Box(-np.inf, np.inf, (size,), np.float32)
@@ -120,25 +121,28 @@ class LatentObservation(gymnasium.ObservationWrapper):
 
         Environments that randomise what they are made of may compile another model for each episode.
         """
-        simulation = simulation_of(self.env)
-        if self._renderer is not None and self._render_data is not None:
-            if self._render_data.model is simulation.model:
-                return self._renderer
+        model = self._drawn().model
+        if self._renderer is not None and self._rendered is not model:
             self._renderer.close()
-            self._renderer, self._followed = None, self._body_in(simulation.model)
+            self._renderer, self._followed = None, self._body_in(model)
         if self._renderer is None:
-            rig = self.encoder.rig
-            self._render_data = RenderData(simulation.model)
+            rig, self._rendered = self.encoder.rig, model
             sizes, look = (rig.height, rig.width, len(rig.names)), (self.encoder.quality, self.encoder.pixels_per_metre)
-            self._renderer = MultiViewRenderer(simulation.model, *sizes, *look, colours_only=True)
+            self._renderer = MultiViewRenderer(model, *sizes, *look, colours_only=True)
             if multiprocessing.parent_process() is None:  # a learner tells for its workers
                 warn_of_other_rendering(self.encoder.renderer, self.encoder.simulators, self._renderer.gl_renderer)
         return self._renderer
 
+    def _drawn(self) -> RenderData:
+        simulation = simulation_of(self.env)
+        if self._render_data is None:
+            self._render_data = RenderData(simulation.model)
+        self._render_data.follow(simulation.model)
+        return self._render_data
+
     def _render(self) -> UInt8[ndarray, "V H W 3"]:
         renderer, rig = self._make_renderer(), self.encoder.rig
-        assert self._render_data is not None
-        data, poses = self._render_data.of(simulation_of(self.env).data), rig.camera_from_world
+        data, poses = self._drawn().of(simulation_of(self.env)), rig.camera_from_world
         if rig.tracking_frame is not None:
             poses = to_world(poses, rig.tracking_frame.origin(data.xpos[self._followed]))
         return renderer.render_rgb(data, rig.intrinsics, poses)
