@@ -28,7 +28,7 @@ class RenderData:
         model: of the simulation; what has been moved in it is read at each call.
 
     Attributes:
-        model: that the states are of, in the same state; another one if the simulation's is made otherwise than before.
+        model: that the states are of: the simulation's, or from the second one made alike on a copy with its values.
     """
 
     def __init__(self, model: mujoco.MjModel):

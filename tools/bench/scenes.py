@@ -19,23 +19,27 @@ from nerf_rl.files.versions import git_revision, package_versions
 from nerf_rl.scenes.base import GYM, METAWORLD
 from tools.page_tables import markdown_table, write_tables
 
+_GYMNASIUM = (
+    *("Ant", "HalfCheetah", "Hopper", "Humanoid", "HumanoidStandup", "InvertedDoublePendulum", "InvertedPendulum"),
+    *("Pusher", "Reacher", "Swimmer", "Walker2d"),
+)
+_ROBOTICS = (
+    *("FetchPickAndPlace-v4", "FetchPush-v4", "FetchReach-v4", "FetchSlide-v4", "HandReach-v3"),
+    *("HandManipulateBlock-v1", "HandManipulateEgg-v1", "HandManipulatePen-v1", "AdroitHandDoor-v1"),
+    *("AdroitHandHammer-v1", "AdroitHandPen-v1", "AdroitHandRelocate-v1", "FrankaKitchen-v1", "AntMaze_UMaze-v5"),
+)
+_DM_CONTROL = (
+    *("acrobot-swingup", "ball_in_cup-catch", "cartpole-balance", "cheetah-run", "dog-fetch", "finger-turn_hard"),
+    *("fish-swim", "hopper-hop", "humanoid-run", "humanoid_CMU-run", "lqr-lqr_2_1", "manipulator-bring_ball"),
+    *("manipulator-insert_peg", "pendulum-swingup", "point_mass-easy", "quadruped-fetch", "reacher-easy"),
+    *("stacker-stack_2", "swimmer-swimmer6", "walker-walk", "lift_brick_features", "place_cradle_features"),
+    *("reach_duplo_features", "stack_2_bricks_features"),
+)
 OTHERS = [
     "datasets/scenes/blocks.xml",
-    *(
-        f"{GYM}{name}-v5"
-        for name in (
-            "Ant",
-            "HalfCheetah",
-            "Hopper",
-            "Humanoid",
-            "HumanoidStandup",
-            "InvertedDoublePendulum",
-            "Pusher",
-            "Reacher",
-            "Swimmer",
-            "Walker2d",
-        )
-    ),
+    *(f"{GYM}{name}-v5" for name in _GYMNASIUM),
+    *(f"{GYM}gymnasium_robotics:{name}" for name in _ROBOTICS),
+    *(f"{GYM}shimmy:dm_control/{name}-v0" for name in _DM_CONTROL),
 ]
 SIZES = {"episodes": 24, "frames_per_episode": 8, "episode_steps": 60, "size": 64, "workers": 1, "seed": 0}
 
