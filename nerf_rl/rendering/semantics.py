@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from nerf_rl.errors import UserError
 from nerf_rl.rendering.class_config import ClassConfig, RobotLinks
-from nerf_rl.scenes.body_parts import BodyParts, chain
+from nerf_rl.scenes.body_parts import BodyParts, chain, short_name
 from nerf_rl.scenes.placed import placed_name
 from nerf_rl.scenes.workspace import is_drawn
 
@@ -144,8 +144,8 @@ class _AutomaticClasses:
         return self._first_name(links[::-1]) or f"fixture_{root}"
 
     def _first_name(self, links: list[int]) -> str:
-        """Return the first name of some bodies, without a last ``_link``, unless another body is called so."""
+        """Return the first name of some bodies, shortened, unless another body is called so."""
         names = (self._model.body(link).name for link in links)
         name = next((name for name in names if name), "")
-        short = name.removesuffix("_link")
+        short = short_name(name)
         return name if short in self._with_geoms else short

@@ -62,6 +62,11 @@ def named_parts(model: mujoco.MjModel, robot: str, gripper: str, surroundings: t
     return BodyParts(ids(robot), ids(gripper), ids(*surroundings))
 
 
+def short_name(name: str) -> str:
+    """Return a body's name without what tells nothing: a last ``_link``, or the slash of what is attached."""
+    return name.rstrip("/").removesuffix("_link")
+
+
 def chain(model: mujoco.MjModel, body: int) -> list[int]:
     """Return a body and its ancestors up to the root of its tree, without the world."""
     links = []

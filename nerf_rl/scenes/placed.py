@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from nerf_rl.scenes.body_parts import BodyParts, leading_bodies
+from nerf_rl.scenes.body_parts import BodyParts, leading_bodies, short_name
 from nerf_rl.scenes.workspace import is_drawn
 
 
@@ -50,4 +50,6 @@ class PlacedGeoms:
 def placed_name(model: mujoco.MjModel, geom: int) -> str:
     """Return what such a geom is called: as the root of its tree, or by its own name in the world."""
     root = int(model.body_rootid[model.geom_bodyid[geom]])
-    return (model.body(root).name or f"fixture_{root}") if root else (model.geom(geom).name or f"object_{geom}")
+    if root:
+        return short_name(model.body(root).name) or f"fixture_{root}"
+    return model.geom(geom).name or f"object_{geom}"

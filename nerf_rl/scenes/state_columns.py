@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from nerf_rl.scenes.body_parts import BodyParts, can_travel, chain
+from nerf_rl.scenes.body_parts import BodyParts, can_travel, chain, short_name
 from nerf_rl.scenes.placed import placed_name
 
 _SCALAR_JOINTS = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
@@ -37,7 +37,7 @@ class StateColumns:
         roots = [root for root in parts.robot if can_travel(model, root)]
         objects = [body for body in sorted(moved) if not set(chain(model, body)) & set(parts.robot)]
         self._bodies = list(dict.fromkeys([*roots, *parts.gripper, *objects]))
-        labels = [model.body(body).name.removesuffix("_link") or f"body_{body}" for body in self._bodies]
+        labels = [short_name(model.body(body).name) or f"body_{body}" for body in self._bodies]
         placed: dict[str, int] = {}  # the first geom of each thing
         for geom in parts.placed:
             placed.setdefault(placed_name(model, geom), geom)

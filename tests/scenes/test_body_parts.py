@@ -3,7 +3,7 @@
 import mujoco
 import pytest
 
-from nerf_rl.scenes.body_parts import find_parts
+from nerf_rl.scenes.body_parts import find_parts, short_name
 
 HINGE, GEOM = '<joint axis="0 1 0"/>', '<geom size="0.02"/>'
 
@@ -60,3 +60,10 @@ def test_a_name_tells_more_than_where_an_arm_branches():
 )
 def test_what_is_no_arm_with_fingers_has_no_hand(robot: str):
     assert hands(robot) == []
+
+
+@pytest.mark.parametrize(
+    "name, short", [("arm_link", "arm"), ("duplo2x4/", "duplo2x4"), ("a/b_link", "a/b"), ("/", "")]
+)
+def test_names_are_told_without_what_files_and_attachments_add(name: str, short: str):
+    assert short_name(name) == short

@@ -31,7 +31,7 @@ _ROBOTICS = (
 _DM_CONTROL = (
     *("acrobot-swingup", "ball_in_cup-catch", "cartpole-balance", "cheetah-run", "dog-fetch", "finger-turn_hard"),
     *("fish-swim", "hopper-hop", "humanoid-run", "humanoid_CMU-run", "lqr-lqr_2_1", "manipulator-bring_ball"),
-    *("manipulator-insert_peg", "pendulum-swingup", "point_mass-easy", "quadruped-fetch", "reacher-easy"),
+    *("manipulator-insert_peg", "pendulum-swingup", "point_mass-easy", "reacher-easy"),
     *("stacker-stack_2", "swimmer-swimmer6", "walker-walk", "lift_brick_features", "place_cradle_features"),
     *("reach_duplo_features", "stack_2_bricks_features"),
 )
