@@ -102,6 +102,20 @@ class RecompiledSlider(Slider):
         return super().reset(seed=seed, options=options)
 
 
+class BreakingSlider(Slider):
+    """It gives up after some steps, as dm_control does when a simulation diverges."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.left = 40
+
+    def step(self, action: np.ndarray) -> tuple[dict[str, Any], float, bool, bool, dict]:
+        self.left -= 1
+        if not self.left:
+            raise ArithmeticError("the physics\nis invalid")
+        return super().step(action)
+
+
 class AnotherSlider(Slider):
     """Its cart is of another size in each episode, for which the model is compiled anew; so is the order of bodies."""
 
@@ -140,6 +154,7 @@ class TargetSlider(Slider):
 
 gymnasium.register("TargetSlider-v0", entry_point=TargetSlider, max_episode_steps=20)
 gymnasium.register("RecompiledSlider-v0", entry_point=RecompiledSlider, max_episode_steps=20)
+gymnasium.register("BreakingSlider-v0", entry_point=BreakingSlider, max_episode_steps=20)
 gymnasium.register("AnotherSlider-v0", entry_point=AnotherSlider, max_episode_steps=20)
 gymnasium.register("Slider-v0", entry_point=Slider, max_episode_steps=20)
 gymnasium.register("NamedGoalSlider-v0", entry_point=NamedGoalSlider, max_episode_steps=20)
@@ -147,6 +162,7 @@ gymnasium.register("LateSlider-v0", entry_point=LateSlider, max_episode_steps=20
 SLIDER, NAMED_GOAL_SLIDER = "gym/own_environments:Slider-v0", "gym/own_environments:NamedGoalSlider-v0"
 TARGET_SLIDER = "gym/own_environments:TargetSlider-v0"
 RECOMPILED_SLIDER = "gym/own_environments:RecompiledSlider-v0"
+BREAKING_SLIDER = "gym/own_environments:BreakingSlider-v0"
 ANOTHER_SLIDER = "gym/own_environments:AnotherSlider-v0"
 LATE_SLIDER = "gym/own_environments:LateSlider-v0"
 

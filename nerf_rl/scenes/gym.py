@@ -1,5 +1,6 @@
 """Any Gymnasium environment on MuJoCo as a scene."""
 
+import traceback
 import warnings
 from importlib.metadata import version
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 import gymnasium
 from gymnasium.envs.registration import registry
 
-from nerf_rl.errors import UnknownNameError, UserError
+from nerf_rl.errors import FailureError, UnknownNameError, UserError
 from nerf_rl.scenes.base import GYM
 from nerf_rl.scenes.simulation import find_simulation
 from nerf_rl.scenes.structured import StructuredScene
@@ -34,7 +35,7 @@ class GymScene(StructuredScene):
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # on versions of environments, and on observations beyond the space
-                self.env = gymnasium.make(name, disable_env_checker=True)
+                self.env = _ToldErrors(gymnasium.make(name, disable_env_checker=True), self.name)
         except Exception as error:  # environments raise all sorts of things for packages that they miss
             raise UserError(f"Gymnasium environment '{name}' cannot be made: {' '.join(str(error).split())}") from error
         if find_simulation(self.env) is None:
@@ -49,3 +50,30 @@ class GymScene(StructuredScene):
     def provenance(self) -> dict[str, Any]:
         """Return name, versions and the digest of the model."""
         return {**super().provenance(), "gymnasium": version("gymnasium")}
+
+
+class _ToldErrors(gymnasium.Wrapper):
+    """Says in a sentence what went wrong inside an environment, and where, such as a simulation that diverged."""
+
+    def __init__(self, env: gymnasium.Env, scene: str):
+        super().__init__(env)
+        self._scene = scene
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        try:
+            return self.env.reset(seed=seed, options=options)
+        except Exception as error:
+            raise self._told(error, "reset") from error
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        try:
+            return self.env.step(action)
+        except Exception as error:
+            raise self._told(error, "step") from error
+
+    def _told(self, error: Exception, call: str) -> FailureError:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        words = " ".join(str(error).split())
+        return FailureError(
+            f"{self._scene} cannot {call}: {type(error).__name__} in {place.filename}, line {place.lineno}: {words}"
+        )

@@ -1,6 +1,7 @@
 """Agents in Gymnasium environments: from the true state, from a latent, with goals, and in a scene of one's own."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from own_environments import (
     BLOCK,
+    BREAKING_SLIDER,
     DM_CONTROL,
     LATE_SLIDER,
     NAMED_GOAL_SLIDER,
@@ -160,6 +162,21 @@ def test_what_cannot_be_acted_in_is_told(capsys: pytest.CaptureFixture[str], tmp
     env.observation_space = gymnasium.spaces.Graph(gymnasium.spaces.Discrete(3), None)
     with pytest.raises(UserError, match="observations of Env are no vectors of numbers"):
         with_flat_observation(env)
+
+
+@pytest.mark.parametrize("command", ["gen-dataset", "train-rl"])
+def test_what_goes_wrong_in_an_environment_is_told_with_its_place(
+    command: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+):
+    words = ["--scene", BREAKING_SLIDER]
+    if command == "train-rl":
+        assert train(tmp_path / "run", *words) == 1
+    else:
+        words += ["--episodes", "9", "--episode_steps", "10", "--frames_per_episode", "2", "--workers", "1"]
+        assert cli.main([command, "--out", str(tmp_path / "data"), "--size", "16", *words]) == 1
+    _, _, told = capsys.readouterr().err.rpartition(f"nerf-rl {command}: ")
+    place = r"ArithmeticError in \S*own_environments.py, line \d+: the physics is invalid"
+    assert re.fullmatch(f"{BREAKING_SLIDER} cannot step: {place}", told.strip())
 
 
 def test_dictionaries_without_goals_become_vectors():
