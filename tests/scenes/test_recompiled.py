@@ -5,12 +5,16 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from own_environments import RECOMPILED_SLIDER, RecompiledSlider, make_encoder
+from own_environments import RECOMPILED_SLIDER, RecompiledSlider
 from tiny_recipes import TINY_DATASET
 
 from nerf_rl import cli
+from nerf_rl.cameras.geometry import intrinsics_from_fovy, look_at
 from nerf_rl.cameras.rig_config import RigConfig
 from nerf_rl.files.json_files import read_json
+from nerf_rl.pretrain.config import EncoderConfig
+from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 from nerf_rl.rendering.renderer import MultiViewRenderer
 from nerf_rl.rendering.rigs import make_rig
 from nerf_rl.rl.environments import observation
@@ -73,8 +77,10 @@ def test_a_dataset_is_the_same_with_any_number_of_workers(tmp_path: Path):
     assert len(shards[0]) == 4 and shards[0] == shards[1]
 
 
-def test_an_agent_sees_each_model_through_one_renderer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    encoder = make_encoder(RECOMPILED_SLIDER, tmp_path)
+def test_an_agent_sees_each_model_through_one_renderer(monkeypatch: pytest.MonkeyPatch):
+    poses = look_at(np.zeros(3), 2.0, 30.0, -30.0)[None]
+    rig = EncoderRig(("view",), intrinsics_from_fovy(45.0, SIZE, SIZE)[None], poses, SIZE, SIZE)
+    encoder = Encoder(EncoderConfig(latent=4, patch=8, channels=[8], hidden=8), rig).eval()
     made = []
 
     class Counted(MultiViewRenderer):
