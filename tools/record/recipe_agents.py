@@ -16,11 +16,10 @@ from tools.compare.agents import LATENTS, RESULTS, STATE, on_the_way
 from tools.page_tables import AGENTS_PAGE, markdown_table, task_name, write_tables
 
 PAGES = (Path("rl/README.md"), AGENTS_PAGE)
-ARM = (
-    "strong self-imitation, curriculum, overtime, triple bonus and early echoes, "
-    "1.5 updates a step, little noise"  # a test has it that these are the keys of rl/drawer-open.yaml
-)
-BLIND = f"blind, {ARM}"
+BEFORE = "strong self-imitation, curriculum, overtime, triple bonus and early echoes, 1.5 updates a step, little noise"
+"""The recipe until retries had held actions of their own."""
+ARM = f"{BEFORE}, held retries"
+"""The recipe: a test has it that these are the keys of rl/drawer-open.yaml."""
 WHOLE = 50_000
 """environment steps of a whole run"""
 
@@ -32,20 +31,21 @@ def main() -> None:
 
 
 def table(results: Path = RESULTS) -> str:
-    """Return a row for each task and what agents see by; runs that ended earlier count where they were evaluated."""
+    """Return a row for each task, eyes and recipe; runs that ended earlier count where they were evaluated."""
     entries = [entry for file in sorted(results.glob("*.json")) for entry in read_entries(file, "arms")]
     rows = []
     for scene in dict.fromkeys(entry["scene"] for entry in entries):
-        for eyes in (LATENTS, STATE):
-            seen, blind = (list(runs_of(entries, scene, eyes, arm)) for arm in (ARM, BLIND))
+        for eyes, arm in itertools.product((LATENTS, STATE), (ARM, BEFORE)):
+            seen, blind = (list(runs_of(entries, scene, eyes, name)) for name in (arm, f"blind, {arm}"))
             if seen:
                 seeds = len({run["seed"] for run in seen})
                 encoders = len({run.get("encoder") for run in seen}) if eyes == LATENTS else ""
                 told = [after(seen, ON_THE_WAY), after(seen, WHOLE), after(blind, ON_THE_WAY), after(blind, WHOLE)]
                 name = "the latent" if eyes == LATENTS else "the true state"
-                rows.append([task_name(scene), name, encoders, seeds, *map(rates, told)])
+                held = "yes" if arm == ARM else "no"
+                rows.append([task_name(scene), name, held, encoders, seeds, *map(rates, told)])
     steps = [f"{who}after {steps:,}" for who in ("", "blind, ") for steps in (ON_THE_WAY, WHOLE)]
-    return markdown_table(["task", "from", "encoders", "seeds", *steps], rows)
+    return markdown_table(["task", "from", "held retries", "encoders", "seeds", *steps], rows)
 
 
 def runs_of(entries: Iterable[dict[str, Any]], scene: str, eyes: str, arm: str) -> Iterator[dict[str, Any]]:
