@@ -20,10 +20,11 @@ def find_simulation(env: gymnasium.Env) -> Simulation | None:
     ``data.ptr``; Shimmy has it as ``physics``, gym-aloha as ``_env.physics``, and MyoSuite as ``sim``.
     """
     inside: Any = env.unwrapped
-    direct = getattr(inside, "model", None), getattr(inside, "data", None)
-    holders = getattr(inside, "physics", None), _get(inside, "_env", "physics"), getattr(inside, "sim", None)
-    wrapped = ((_get(holder, "model", "ptr"), _get(holder, "data", "ptr")) for holder in holders)
-    for model, data in (direct, *wrapped):
+    model, data = getattr(inside, "model", None), getattr(inside, "data", None)
+    if isinstance(model, mujoco.MjModel) and isinstance(data, mujoco.MjData):
+        return Simulation(model, data)
+    for holder in (getattr(inside, "physics", None), _get(inside, "_env", "physics"), getattr(inside, "sim", None)):
+        model, data = _get(holder, "model", "ptr"), _get(holder, "data", "ptr")
         if isinstance(model, mujoco.MjModel) and isinstance(data, mujoco.MjData):
             return Simulation(model, data)
     return None
