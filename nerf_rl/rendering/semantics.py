@@ -12,8 +12,7 @@ from numpy import ndarray
 
 from nerf_rl.errors import UserError
 from nerf_rl.rendering.class_config import ClassConfig, RobotLinks
-from nerf_rl.scenes.body_parts import BodyParts, chain, short_name
-from nerf_rl.scenes.placed import placed_name
+from nerf_rl.scenes.body_parts import BodyParts, chain, placed_name, short_name
 from nerf_rl.scenes.workspace import is_drawn
 
 BACKGROUND = "background"

@@ -5,8 +5,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from nerf_rl.scenes.body_parts import BodyParts, can_travel, chain, short_name
-from nerf_rl.scenes.placed import placed_name
+from nerf_rl.scenes.body_parts import BodyParts, can_travel, chain, placed_name, short_name
 
 _SCALAR_JOINTS = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 

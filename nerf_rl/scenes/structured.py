@@ -12,8 +12,7 @@ from numpy import ndarray
 
 from nerf_rl.cameras.rig_config import CameraConfig, RingConfig
 from nerf_rl.scenes.base import Scene, model_digest
-from nerf_rl.scenes.body_parts import find_parts
-from nerf_rl.scenes.placed import PlacedGeoms
+from nerf_rl.scenes.body_parts import PlacedGeoms, find_parts
 from nerf_rl.scenes.state_columns import StateColumns
 from nerf_rl.scenes.unit_actions import in_range
 from nerf_rl.scenes.workspace import Workspace
