@@ -3,6 +3,7 @@
 LINES = {
     ". .venv/bin/activate": "the tests run in this environment already",
     "pip install .[hub]": "needs the internet; that there is such an extra is tested",
+    "pip install .[dm_control]": "needs the internet; that there is such an extra is tested",
     "pip install .[panda]": "needs the internet; that there is such an extra is tested",
     "pip install .[sb3]": "needs the internet; that there is such an extra is tested",
     "nerf-rl push runs/encoder --to USER/NAME --licence mit": "goes to the Hub; tested on a local server in tests/hub",
