@@ -1,5 +1,6 @@
 """What a scene is: a MuJoCo environment with named state columns."""
 
+import functools
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -40,7 +41,6 @@ class Scene(ABC):
     """how that changes, for agents that see by an encoder, where ``proprio_names`` have no velocities"""
     privileged_names: tuple[str, ...]
     """what only the simulator knows: hand, objects and goal [m]"""
-    _render_data: RenderData | None = None
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -55,17 +55,15 @@ class Scene(ABC):
     @property
     def drawn_model(self) -> mujoco.MjModel:
         """What :meth:`render_data` is of, for who draws: it stays where episodes compile models that are made alike."""
-        return self._drawn().model
+        return self._drawn.model
 
     def render_data(self) -> mujoco.MjData:
         """Return the state to be drawn, with positions propagated from ``qpos``; the simulation is untouched."""
-        return self._drawn().of(simulation_of(self.env))
+        return self._drawn.now()
 
+    @functools.cached_property
     def _drawn(self) -> RenderData:
-        if self._render_data is None:
-            self._render_data = RenderData(self.model)
-        self._render_data.follow(self.model)
-        return self._render_data
+        return RenderData(self.env)
 
     @abstractmethod
     def proprio(self, observation: Any) -> Float[ndarray, "P"]:

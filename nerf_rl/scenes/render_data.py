@@ -2,10 +2,11 @@
 
 import copy
 
+import gymnasium
 import mujoco
 import numpy as np
 
-from nerf_rl.scenes.simulation import Simulation
+from nerf_rl.scenes.simulation import simulation_of
 
 _MADE_OF = ("mesh_", "tex_", "hfield_", "skin_")  # what OpenGL is given for good
 _STRUCTURE = (
@@ -25,21 +26,24 @@ class RenderData:
     draws may keep what was made for it.
 
     Args:
-        model: of the simulation; what has been moved in it is read at each call.
-
-    Attributes:
-        model: that the states are of: the simulation's, or from the second one made alike on a copy with its values.
+        env: on MuJoCo; what has been moved in its model is read at each call.
     """
 
-    def __init__(self, model: mujoco.MjModel):
-        self.model = self._followed = model
+    def __init__(self, env: gymnasium.Env):
+        self._env = env
+        self._model = self._followed = simulation_of(env).model
         self._is_own = False
-        self._copy = mujoco.MjData(model)
+        self._copy = mujoco.MjData(self._model)
 
-    def of(self, simulation: Simulation) -> mujoco.MjData:
-        """Return a state to draw, which the next call overwrites; the simulation is untouched."""
-        self.follow(simulation.model)
-        model, data, shown = self.model, simulation.data, self._copy
+    @property
+    def model(self) -> mujoco.MjModel:
+        """What states are of now: the simulation's, or from the second one made alike on a copy with its values."""
+        self._follow(simulation_of(self._env).model)
+        return self._model
+
+    def now(self) -> mujoco.MjData:
+        """Return the state to draw, which the next call overwrites; the simulation is untouched."""
+        model, data, shown = self.model, simulation_of(self._env).data, self._copy
         shown.qpos[:], shown.qvel[:], shown.time = data.qpos, data.qvel, data.time
         shown.mocap_pos[:], shown.mocap_quat[:] = data.mocap_pos, data.mocap_quat
         mujoco.mj_kinematics(model, shown)
@@ -49,17 +53,18 @@ class RenderData:
         mujoco.mj_tendon(model, shown)
         return shown
 
-    def follow(self, model: mujoco.MjModel) -> None:
+    def _follow(self, model: mujoco.MjModel) -> None:
         """Take over the values of the model that the simulation has now, or that itself if it is made otherwise."""
         if model is self._followed:
             return
-        if self._is_own and _made_alike(self.model, model):
+        is_alike = _made_alike(self._model, model)
+        if self._is_own and is_alike:
             for name in _arrays(model):
-                getattr(self.model, name)[...] = getattr(model, name)
+                getattr(self._model, name)[...] = getattr(model, name)
         else:
-            self._is_own = _made_alike(self.model, model)
-            self.model = copy.deepcopy(model) if self._is_own else model
-            self._copy = mujoco.MjData(self.model)
+            self._is_own = is_alike
+            self._model = copy.deepcopy(model) if is_alike else model
+            self._copy = mujoco.MjData(self._model)
         self._followed = model
 
 

@@ -21,7 +21,6 @@ from nerf_rl.rl.environments import observation
 from nerf_rl.rl.environments.observation import LatentObservation
 from nerf_rl.scenes.make import make_scene
 from nerf_rl.scenes.render_data import RenderData
-from nerf_rl.scenes.simulation import simulation_of
 
 SIZE = 32
 
@@ -39,7 +38,7 @@ def test_what_was_made_for_one_model_draws_the_next():
         seen.append(renderer.render(scene.render_data(), *cameras))
         assert scene.drawn_model is drawn is not scene.model
         fresh = MultiViewRenderer(scene.model, SIZE, SIZE, len(rig.names), "plain")
-        other = fresh.render(RenderData(scene.model).of(simulation_of(scene.env)), *cameras)
+        other = fresh.render(RenderData(scene.env).now(), *cameras)
         fresh.close()
         np.testing.assert_array_equal(seen[-1].geom, other.geom)
         hit = other.geom >= 0  # behind, depth is the far plane's, which a model's extent decides
@@ -54,13 +53,13 @@ def test_a_simulation_that_goes_back_to_a_model_is_drawn_as_that():
     """Nothing is written into a model that the environment may still use."""
     env, models = RecompiledSlider(), []
     env.reset(seed=1)
-    shown = RenderData(env.model)
+    shown = RenderData(env)
     for seed in (1, 2, 3):
         env.reset(seed=seed)
         models.append((env.model, env.data))
-        shown.of(simulation_of(env))
+        shown.now()
     for env.model, env.data in (models[0], models[2], models[1]):
-        places = shown.of(simulation_of(env)).geom_xpos.copy()
+        places = shown.now().geom_xpos.copy()
         mujoco.mj_kinematics(env.model, env.data)
         np.testing.assert_allclose(places, env.data.geom_xpos)
 

@@ -1,5 +1,6 @@
 """A frozen encoder's latent as a Gymnasium observation."""
 
+import functools
 import multiprocessing
 import warnings
 from collections.abc import Callable
@@ -71,7 +72,6 @@ class LatentObservation(gymnasium.ObservationWrapper):
         self._encode: Callable[[Tensor], Tensor] = self.encoder.encode
         self._renderer: MultiViewRenderer | None = None
         self._rendered: mujoco.MjModel | None = None  # what the renderer was made for
-        self._render_data: RenderData | None = None
         size = self.encoder.latent_size + (0 if proprio is None else len(proprio(env.observation_space.sample())))
         self.observation_space = Box(-np.inf, np.inf, (size,), np.float32)
 
@@ -121,7 +121,7 @@ class LatentObservation(gymnasium.ObservationWrapper):
 
         Environments that randomise what they are made of may compile another model for each episode.
         """
-        model = self._drawn().model
+        model = self._drawn.model
         if self._renderer is not None and self._rendered is not model:
             self._renderer.close()
             self._renderer, self._followed = None, self._body_in(model)
@@ -133,16 +133,13 @@ class LatentObservation(gymnasium.ObservationWrapper):
                 warn_of_other_rendering(self.encoder.renderer, self.encoder.simulators, self._renderer.gl_renderer)
         return self._renderer
 
+    @functools.cached_property
     def _drawn(self) -> RenderData:
-        simulation = simulation_of(self.env)
-        if self._render_data is None:
-            self._render_data = RenderData(simulation.model)
-        self._render_data.follow(simulation.model)
-        return self._render_data
+        return RenderData(self.env)
 
     def _render(self) -> UInt8[ndarray, "V H W 3"]:
         renderer, rig = self._make_renderer(), self.encoder.rig
-        data, poses = self._drawn().of(simulation_of(self.env)), rig.camera_from_world
+        data, poses = self._drawn.now(), rig.camera_from_world
         if rig.tracking_frame is not None:
             poses = to_world(poses, rig.tracking_frame.origin(data.xpos[self._followed]))
         return renderer.render_rgb(data, rig.intrinsics, poses)
