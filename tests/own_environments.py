@@ -116,6 +116,13 @@ class BreakingSlider(Slider):
         return super().step(action)
 
 
+class RefusingSlider(Slider):
+    """It cannot be made, and does not say why."""
+
+    def __init__(self) -> None:
+        assert self.XML == ""
+
+
 class AnotherSlider(Slider):
     """Its cart is of another size in each episode, for which the model is compiled anew; so is the order of bodies."""
 
@@ -155,6 +162,7 @@ class TargetSlider(Slider):
 gymnasium.register("TargetSlider-v0", entry_point=TargetSlider, max_episode_steps=20)
 gymnasium.register("RecompiledSlider-v0", entry_point=RecompiledSlider, max_episode_steps=20)
 gymnasium.register("BreakingSlider-v0", entry_point=BreakingSlider, max_episode_steps=20)
+gymnasium.register("RefusingSlider-v0", entry_point=RefusingSlider)
 gymnasium.register("AnotherSlider-v0", entry_point=AnotherSlider, max_episode_steps=20)
 gymnasium.register("Slider-v0", entry_point=Slider, max_episode_steps=20)
 gymnasium.register("NamedGoalSlider-v0", entry_point=NamedGoalSlider, max_episode_steps=20)

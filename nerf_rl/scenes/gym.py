@@ -37,7 +37,9 @@ class GymScene(StructuredScene):
                 warnings.simplefilter("ignore")  # on versions of environments, and on observations beyond the space
                 self.env = _ToldErrors(gymnasium.make(name, disable_env_checker=True), self.name)
         except Exception as error:  # environments raise all sorts of things for packages that they miss
-            raise UserError(f"Gymnasium environment '{name}' cannot be made: {' '.join(str(error).split())}") from error
+            raise UserError(
+                f"Gymnasium environment '{name}' cannot be made: {_words(error) or _place(error)}"
+            ) from error
         if find_simulation(self.env) is None:
             raise UserError(f"Gymnasium environment '{name}' is not on MuJoCo: it has no mujoco.MjModel")
         super().__init__()
@@ -72,8 +74,15 @@ class _ToldErrors(gymnasium.Wrapper):
             raise self._told(error, "step") from error
 
     def _told(self, error: Exception, call: str) -> FailureError:
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        words = " ".join(str(error).split())
-        return FailureError(
-            f"{self._scene} cannot {call}: {type(error).__name__} in {place.filename}, line {place.lineno}: {words}"
-        )
+        return FailureError(f"{self._scene} cannot {call}: {': '.join(filter(None, (_place(error), _words(error))))}")
+
+
+def _place(error: Exception) -> str:
+    """Return what an exception is and where it was raised."""
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__} in {place.filename}, line {place.lineno}"
+
+
+def _words(error: Exception) -> str:
+    """Return what an exception says, in one line; a bare assertion says nothing."""
+    return " ".join(str(error).split())

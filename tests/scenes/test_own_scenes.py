@@ -139,7 +139,11 @@ def test_provenance_names_the_compiled_model(tmp_path: Path):
     [
         ("gym/Antt-v5", r"unknown Gymnasium environment on MuJoCo 'Antt-v5' \(did you mean Ant-v5"),
         ("gym/CartPole-v1", "'CartPole-v1' is not on MuJoCo"),
-        ("gym/no_such_module:Env-v0", "'no_such_module:Env-v0' cannot be made"),
+        ("gym/no_such_module:Env-v0", "'no_such_module:Env-v0' cannot be made: .*No module"),
+        (
+            "gym/own_environments:RefusingSlider-v0",
+            r"cannot be made: AssertionError in \S*own_environments.py, line \d+$",
+        ),
         ("datasets/scenes/block.xml", "block.xml is not an MJCF file: no such file; .*MJCF files in .*blocks.xml"),
         ("nowhere/block.xml", "nowhere/block.xml is not an MJCF file: no such file; give the path of one as scene$"),
     ],
