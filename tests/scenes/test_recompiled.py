@@ -1,5 +1,6 @@
 """Environments that compile their model anew at each reset, of the same parts: what is made for one draws all."""
 
+import copy
 from pathlib import Path
 
 import mujoco
@@ -23,6 +24,7 @@ from nerf_rl.scenes.make import make_scene
 from nerf_rl.scenes.render_data import RenderData
 
 SIZE = 32
+WEDGE = '<mesh name="wedge" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/>'
 
 
 def test_what_was_made_for_one_model_draws_the_next():
@@ -47,6 +49,22 @@ def test_what_was_made_for_one_model_draws_the_next():
         np.testing.assert_allclose(scene.privileged(None)[-3:], scene.model.body("post").pos)
     renderer.close()
     assert (seen[0].geom != seen[1].geom).any() and (seen[1].rgb != seen[2].rgb).any()
+
+
+def test_a_polygon_without_an_area_makes_no_other_model():
+    """The normals of such polygons, which robosuite's meshes have, are no numbers, and those are never equal."""
+    env, drawn = RecompiledSlider(), []
+    env.XML = env.XML.replace("<worldbody>", f"<asset>{WEDGE}</asset><worldbody>")
+    env.reset(seed=0)
+    shown = RenderData(env)
+    for seed in (1, 2, 3):
+        env.reset(seed=seed)
+        env.model.mesh_polynormal[0] = np.nan
+        drawn.append(shown.model)
+    assert drawn[1] is drawn[2] is not env.model
+    env.model.mesh_vert[0] += 0.1
+    env.model, env.data = copy.deepcopy(env.model), env.data
+    assert shown.model is env.model
 
 
 def test_a_simulation_that_goes_back_to_a_model_is_drawn_as_that():
