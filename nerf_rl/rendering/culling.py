@@ -6,7 +6,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from nerf_rl.cameras.geometry import camera_position
-from nerf_rl.scenes.workspace import DRAWN_GROUPS
+from nerf_rl.scenes.workspace import undrawn
 
 _ZERO = 1e-9
 _FAINT = 0.5  # of a mark's opacity, below which it is seen through
@@ -29,14 +29,14 @@ class FrustumCulling:
     def outside(
         self, data: mujoco.MjData, intrinsics: Float[ndarray, "V 3 3"], camera_from_world: Float[ndarray, "V 4 4"]
     ) -> Bool[ndarray, "V G"]:
-        """Tell which geoms are not drawn: those wholly outside a view or nearer than its near plane, and hidden groups.
+        """Tell which geoms are not drawn: those wholly outside a view or nearer than its near plane, and the undrawn.
 
         A view is a cone of four edges from the camera. Two convex bodies are apart if, and only if, a plane parallel to
         a face of either or to an edge of each separates them (Gottschalk et al., "OBBTree", 1996); one that separates a
         cone passes through its apex.
         """
         model = self._model
-        result = np.broadcast_to(model.geom_group >= DRAWN_GROUPS, (len(intrinsics), model.ngeom)).copy()
+        result = np.broadcast_to(undrawn(model), (len(intrinsics), model.ngeom)).copy()
         tested = np.flatnonzero((model.geom_rbound > 0) & ~result[0])  # planes have no bounds and are always drawn
         half = _SLACK * model.geom_aabb[tested, 3:]
         world_from_box = data.geom_xmat[tested].reshape(-1, 3, 3)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from nerf_rl.scenes.workspace import DRAWN_GROUPS
+from nerf_rl.scenes.workspace import drawn_geoms
 
 _TRIANGLES_PER_PIXEL = 0.4  # of the mesh's bounding sphere; back faces and detail inside the outline included
 _FEWEST_TRIANGLES_PER_ROW = 11.0  # of the image: thin and dented outlines need more than their area says
@@ -43,7 +43,7 @@ def simplify_meshes(model: mujoco.MjModel, height: int, pixels_per_metre: float)
     spacing = simplified.geom_size[:, 2]
     spacing[planes] = np.maximum(spacing[planes], 2 * model.geom_size[planes, :2].min(1) / _PLANE_CELLS)
     quality = simplified.vis.quality
-    drawn = (model.geom_group < DRAWN_GROUPS) & (model.geom_rgba[:, 3] > 0)
+    drawn = drawn_geoms(model)
     if not np.isin(model.geom_type[drawn], _SPHERICAL).any():  # the divisions are the same for all shapes of a model
         quality.numslices = min(quality.numslices, round(_SLICES_PER_ROOT_ROW * height**0.5))
         quality.numstacks = min(quality.numstacks, _STACKS)

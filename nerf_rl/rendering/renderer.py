@@ -23,6 +23,7 @@ from nerf_rl.rendering.level_of_detail import simplify_meshes
 from nerf_rl.rendering.near_plane import near_plane
 from nerf_rl.rendering.offscreen_target import OffscreenTarget
 from nerf_rl.rendering.still_background import StillBackground, StillGeoms
+from nerf_rl.scenes.workspace import undrawn
 
 _HIDDEN_GROUP = 5  # of geoms; not drawn by default
 _FULL_SHADOW_MAP = 4096
@@ -187,7 +188,7 @@ class MultiViewRenderer:
         covered: Bool[ndarray, "V G"] | None = None,
     ) -> UInt8[ndarray, "V H W 3"]:
         if self._colours.target.has_shadows:  # what a camera does not see may cast a shadow into its view
-            hidden = np.zeros_like(hidden)
+            hidden = np.broadcast_to(undrawn(self._model), hidden.shape)
         pixels = self._picture(self._colours, data, intrinsics, camera_from_world, hidden, covered).pixels
         if pixels.shape[2] == self._width:
             return _upright(pixels).copy()

@@ -13,7 +13,7 @@ from numpy import ndarray
 from nerf_rl.errors import UserError
 from nerf_rl.rendering.class_config import ClassConfig, RobotLinks
 from nerf_rl.scenes.body_parts import BodyParts, chain, placed_name, short_name
-from nerf_rl.scenes.workspace import is_drawn
+from nerf_rl.scenes.workspace import drawn_geoms
 
 BACKGROUND = "background"
 _MOST_CLASSES = 255
@@ -117,7 +117,7 @@ class _AutomaticClasses:
     def __init__(self, model: mujoco.MjModel, parts: BodyParts, robot_links: RobotLinks):
         self._model, self._parts = model, parts
         self._movable = {int(model.body_rootid[body]) for body in range(1, model.nbody) if model.body_jntnum[body]}
-        drawn = {int(model.geom_bodyid[geom]) for geom in range(model.ngeom) if is_drawn(model, geom)}
+        drawn = {int(model.geom_bodyid[geom]) for geom in drawn_geoms(model)}
         self._seen = {int(model.body_rootid[body]) for body in drawn}
         self._with_geoms = {model.body(int(body)).name for body in model.geom_bodyid}
         alone = self._movable <= set(parts.robot) and not parts.gripper

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped
 from numpy import ndarray
 
-from nerf_rl.scenes.workspace import DRAWN_GROUPS
+from nerf_rl.scenes.workspace import undrawn
 
 _OF_GEOMS = ("rgba", "size", "type", "group", "matid", "dataid")
 
@@ -82,7 +82,7 @@ class StillGeoms:
     def _can_be_divided(self) -> bool:
         """Tell whether each pixel shows one geom and nothing else, none of which lets through what is behind it."""
         model = self._model
-        drawn = model.geom_group < DRAWN_GROUPS
+        drawn = ~undrawn(model)
         materials = model.geom_matid[drawn]
         alpha = np.concatenate([model.geom_rgba[drawn, 3], model.mat_rgba[materials[materials >= 0], 3]])
         opaque = np.isin(alpha, (0, 1)).all() and not (model.tex_nchannel == 4).any()

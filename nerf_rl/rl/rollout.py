@@ -16,7 +16,7 @@ from nerf_rl.rendering.renderer import MultiViewRenderer
 from nerf_rl.rl.agents.policy import Policy
 from nerf_rl.rl.environments.make import make_env
 from nerf_rl.scenes.base import Scene
-from nerf_rl.scenes.workspace import DRAWN_GROUPS, Workspace, moving_geoms
+from nerf_rl.scenes.workspace import DRAWN_GROUPS, Workspace, moving_geoms, undrawn
 
 _FOVY = 45.0  # of the view for people [degrees]
 _AWAY = 1.1 / 0.9  # as far as a camera that just sees the workspace, and a little more
@@ -153,6 +153,7 @@ class _Camera:
 def _free_side(model: mujoco.MjModel, data: mujoco.MjData, workspace: Workspace) -> tuple[float, float]:
     """Return the first side from which at least half as many geoms that move are in sight as from the best one."""
     moving = moving_geoms(model)
+    not_in_the_way = {*moving, *np.flatnonzero(undrawn(model)).tolist()}
     drawn = (np.arange(mujoco.mjNGROUP) < DRAWN_GROUPS).astype(np.uint8)
     hit = np.zeros(1, np.int32)
 
@@ -161,7 +162,7 @@ def _free_side(model: mujoco.MjModel, data: mujoco.MjData, workspace: Workspace)
         seen = 0
         for place in data.geom_xpos[moving]:
             distance = mujoco.mj_ray(model, data, eye, place - eye, drawn, 1, -1, hit)  # 1 at the place
-            seen += not 0.0 <= distance < 1.0 or int(hit[0]) in moving
+            seen += not 0.0 <= distance < 1.0 or int(hit[0]) in not_in_the_way
         return seen
 
     seen = [in_sight(side) for side in _SIDES]

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from nerf_rl.scenes.workspace import is_drawn
+from nerf_rl.scenes.workspace import drawn_geoms
 
 _GRIPPER = re.compile(r"gripper|hand|finger|claw|jaw|effector", re.IGNORECASE)
 _SURROUNDINGS = re.compile(
@@ -174,9 +174,8 @@ class PlacedGeoms:
         without = {*parts.robot, *parts.surroundings, *_leading_bodies(model)}
         self._geoms = [
             geom
-            for geom in range(model.ngeom)
-            if is_drawn(model, geom)
-            and model.geom_rbound[geom] > 0
+            for geom in drawn_geoms(model)
+            if model.geom_rbound[geom] > 0
             and model.body_weldid[model.geom_bodyid[geom]] == 0
             and int(model.body_rootid[model.geom_bodyid[geom]]) not in without
         ]

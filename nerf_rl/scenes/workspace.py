@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 DRAWN_GROUPS = 3  # MuJoCo draws geoms of groups 0, 1 and 2
+_ALIKE = 0.9  # of a shape's radius, from which on others may be what it stands for in collisions
 
 
 @dataclass(frozen=True)
@@ -46,9 +47,30 @@ class Workspace:
         return self.radius / float(np.sin(np.deg2rad(fovy_deg) / 2.0))
 
 
-def is_drawn(model: mujoco.MjModel, geom: int) -> bool:
-    """Tell whether a geom can be seen."""
-    return bool(model.geom_group[geom] < DRAWN_GROUPS and model.geom_rgba[geom, 3] > 0)
+def drawn_geoms(model: mujoco.MjModel) -> list[int]:
+    """Return the geoms that can be seen."""
+    return np.flatnonzero(~undrawn(model) & (model.geom_rgba[:, 3] > 0)).tolist()
+
+
+def undrawn(model: mujoco.MjModel) -> Bool[ndarray, "G"]:
+    """Tell which geoms no camera is to see: those of hidden groups, and of drawn ones that are for collisions alone.
+
+    Robosuite keeps shapes for collisions in group 0, in green, and in group 1 what bodies look like. So a group whose
+    geoms of bodies all collide is hidden with them if most have a body with others, drawn and of another group, that
+    collide with nothing and are about as large together, which a mark on it is not.
+    """
+    drawn, collides = model.geom_group < DRAWN_GROUPS, (model.geom_contype | model.geom_conaffinity) != 0
+    to_look_at = np.flatnonzero(drawn & ~collides & (model.geom_rgba[:, 3] > 0))
+    radii = np.zeros((model.nbody, DRAWN_GROUPS))  # of what a body has to look at alone, by group
+    np.add.at(radii, (model.geom_bodyid[to_look_at], model.geom_group[to_look_at]), model.geom_rbound[to_look_at])
+    others = (radii[model.geom_bodyid] * (np.arange(DRAWN_GROUPS) != model.geom_group[:, None])).sum(1)
+    looks_otherwise = (others > 0) & (others >= _ALIKE * model.geom_rbound)
+    hidden = ~drawn
+    for group in range(DRAWN_GROUPS):
+        members = (model.geom_group == group) & (model.geom_bodyid > 0)  # the world is not one thing
+        if members.any() and collides[members].all() and 2 * looks_otherwise[members].sum() > members.sum():
+            hidden |= members
+    return hidden
 
 
 def fit_workspace(model: mujoco.MjModel, data: mujoco.MjData) -> Workspace:
@@ -78,7 +100,7 @@ def moving_balls(
 
 def moving_geoms(model: mujoco.MjModel, placed: tuple[int, ...] = ()) -> list[int]:
     """Return the drawn geoms of bodies that can move, and those that are placed, or all that end if there are none."""
-    drawn = [geom for geom in range(model.ngeom) if is_drawn(model, geom) and model.geom_rbound[geom] > 0]
+    drawn = [geom for geom in drawn_geoms(model) if model.geom_rbound[geom] > 0]
     return [geom for geom in drawn if model.body_weldid[model.geom_bodyid[geom]] != 0 or geom in placed] or drawn
 
 
