@@ -12,6 +12,7 @@ _TRIES = 20
 _DEEPEST = 2e-3  # into anything else, that a place is free [m]; what lies on a table is in it by less
 _REACH = 0.8  # of the workspace's radius, so that things are in all pictures and seldom fall off a table
 _HIGHEST = 0.5  # of the workspace's radius, above where they lie, for those that are turned anyhow
+_PUT_AWAY = 3.0  # workspace's radii from its middle are too far for a thing that a task makes use of
 _HALF_TURN = np.pi  # to either side
 
 
@@ -20,7 +21,7 @@ class Scattering:
 
     A reset puts a ball here and a closed door there, and what a few episodes of a hundred do to them is all that is
     ever seen of other places. A free body lies as it does after a reset, turned around the vertical, or, as often, is
-    turned anyhow and falls from a little above.
+    turned anyhow and falls from a little above; one that a reset has put far away stays there.
 
     Args:
         scene: whose things they are; it may be reset.
@@ -76,8 +77,10 @@ class Scattering:
         """Return a place in the workspace and an orientation of a free body."""
         radius = self._workspace.radius
         angle, distance = rng.uniform(-np.pi, np.pi), _REACH * radius * np.sqrt(rng.random())
-        x, y, _ = self._workspace.centre_in(self._scene.render_data())
+        x, y, z = self._workspace.centre_in(self._scene.render_data())
         drawn = pose.copy()
+        if np.linalg.norm(pose[:3] - (x, y, z)) > _PUT_AWAY * radius:
+            return drawn
         drawn[:2] = x + distance * np.cos(angle), y + distance * np.sin(angle)
         if rng.random() < 0.5:
             drawn[3:] = turned_around_vertical(pose[3:], rng)

@@ -16,6 +16,7 @@ _FALLS = 0.5  # downwards [m/s]
 _MUCH_LARGER = 1.5  # times the radius around what an arm handles has a ball around all of it, if that is left alone
 _STANDS = 0.1  # of that radius, as far as the base of such an arm may go
 _BESIDE = 0.5  # of that radius, as far off as its base is from the middle, if it stands beside
+_PUT_AWAY = 2.0  # times as far as an arm gets is out of its reach, wherever the table stands
 
 
 class WorkspaceFit:
@@ -66,13 +67,14 @@ class WorkspaceFit:
 
         Where a robot travels, the ball goes with it horizontally, and is large enough for its ups and downs. What falls
         when each episode begins is not looked at: it is a marker that an environment puts to its place where it draws.
+        Nor is a thing that is far out of an arm's reach all the time, where Robosuite puts what a task does not use.
 
         Args:
             shown: the state in which cameras are to be placed, with positions propagated.
         """
         if not len(self._radii):
             return fit_workspace(self._model, shown)
-        stays = ~np.all(self._falls, axis=0)
+        stays = ~np.all(self._falls, axis=0) & ~self._put_away()
         stays = stays if stays.any() else ~stays
         ball, handled = self._around(stays), stays & ~self._is_arm
         if self._parts.gripper and handled.any():
@@ -97,6 +99,15 @@ class WorkspaceFit:
         if np.hypot(x, y) <= _BESIDE * handled.radius:
             return handled
         return dataclasses.replace(handled, facing=float(np.rad2deg(np.arctan2(y, x))))
+
+    def _put_away(self) -> Bool[ndarray, "G"]:
+        """Tell which of the moving geoms are loose and nowhere near an arm that stands, in any state."""
+        if self._base or not self._parts.gripper:
+            return np.zeros(len(self._radii), np.bool_)
+        away = np.linalg.norm(np.stack(self._places) - np.stack(self._stands)[:, None], axis=-1)
+        of_robot = np.isin(self._roots, self._parts.robot)
+        reach = (away + self._radii)[:, of_robot].max(initial=0.0)
+        return self._is_loose & ((away - self._radii).min(axis=0) > _PUT_AWAY * reach)
 
     def _origin(self, shown: mujoco.MjData) -> Float[ndarray, "3"]:
         return self._frame.origin(shown.body(self._base).xpos) if self._base else np.zeros(3)

@@ -57,6 +57,19 @@ def test_free_things_begin_anywhere_in_the_workspace_and_inside_nothing(name: st
     assert np.ptp(away, axis=0).min() > workspace.radius
 
 
+def test_what_a_reset_puts_far_away_stays_there():
+    scene, rng = make_scene(BLOCKS), np.random.default_rng(0)
+    scattering = Scattering(scene)
+    unused, used = (scene.model.body(f"{colour}_block").id for colour in ("red", "blue"))
+    scene.env.reset(seed=0)
+    scene.data.joint(scene.model.body_jntadr[unused]).qpos[:3] = 9.0, -9.0, 0.5
+    before = scene.data.qpos.copy()
+    scattering.scatter(rng)
+    np.testing.assert_array_equal(scene.data.xpos[unused], [9.0, -9.0, 0.5])
+    place = scene.model.jnt_qposadr[scene.model.body_jntadr[used]]
+    assert (scene.data.qpos[place : place + 2] != before[place : place + 2]).all()
+
+
 def test_a_slide_whose_limits_are_far_away_stays_in_the_workspace():
     scene, rng = make_scene("gym/Pusher-v5"), np.random.default_rng(0)
     scattering, radius = Scattering(scene), scene.workspace().radius

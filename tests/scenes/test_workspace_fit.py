@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 import yaml
@@ -11,11 +12,13 @@ from nerf_rl.cameras.rig_config import CameraConfig, RandomCameraConfig, RigConf
 from nerf_rl.rendering.rigs import make_rig
 from nerf_rl.scenes.base import Scene
 from nerf_rl.scenes.make import make_scene
+from nerf_rl.scenes.workspace import Workspace
+from nerf_rl.scenes.workspace_fit import WorkspaceFit
 
 HEADINGS = (0.0, 90.0, -130.0)
 
 
-def arm(folder: Path, heading: float = 0.0, base: str = "", swing: float = 0.2) -> Scene:
+def arm(folder: Path, heading: float = 0.0, base: str = "", swing: float = 0.2, unused: str = "") -> Scene:
     """Return a scene of a robot of 1.4 m, whose hand is over a table with a block.
 
     Args:
@@ -23,8 +26,10 @@ def arm(folder: Path, heading: float = 0.0, base: str = "", swing: float = 0.2) 
         heading: of the hand as seen from the base [degrees].
         base: joints of the robot's base.
         swing: of the arm, to either side [rad].
+        unused: where another block lies; it is left out if that is nowhere.
     """
     path = folder / "arm.xml"
+    block = '<freejoint/><geom type="box" size="0.03 0.03 0.03"/></body>'
     motor = '<motor joint="drive" gear="500"/>' if "drive" in base else ""
     path.write_text(
         f"""<mujoco><compiler angle="degree"/><worldbody><geom type="plane" size="3 3 0.1"/>
@@ -36,7 +41,7 @@ def arm(folder: Path, heading: float = 0.0, base: str = "", swing: float = 0.2) 
               <body name="hand" pos="0.7 0 0"><geom type="box" size="0.03 0.03 0.03"/></body></body></body>
           <body name="table" pos="0.7 0 0.25"><geom type="box" size="0.3 0.3 0.25"/></body></body>
         <body name="block" pos="{0.7 * np.cos(np.deg2rad(heading))} {0.7 * np.sin(np.deg2rad(heading))} 0.53">
-          <freejoint/><geom type="box" size="0.03 0.03 0.03"/></body></worldbody>
+          {block}{f'<body name="unused" pos="{unused}">{block}' if unused else ""}</worldbody>
         <actuator><position joint="lift" kp="5000" ctrlrange="-0.02 0.02"/>
         <position joint="pan" kp="100" kv="20" ctrlrange="-{swing} {swing}"/>{motor}</actuator></mujoco>"""
     )
@@ -95,3 +100,19 @@ def test_a_marker_that_falls_while_an_environment_begins_is_not_looked_for():
     hand = scene.data.body("robot0:palm").xpos
     assert scene.data.body("target").xpos[2] < hand[2] - 0.5
     assert ball.radius < 0.2 and np.linalg.norm(ball.centre - hand) < ball.radius
+
+
+def test_what_a_task_does_not_use_and_puts_away_is_not_looked_for(tmp_path: Path):
+    """Robosuite puts it ten metres off, and cameras that saw it would show the arm as a dot."""
+
+    def ball(unused: str) -> Workspace:
+        scene = arm(tmp_path, unused=unused)
+        data = mujoco.MjData(scene.model)
+        mujoco.mj_forward(scene.model, data)
+        fit = WorkspaceFit(scene.model, scene.parts)
+        fit.add(data, True)
+        return fit.workspace(data)
+
+    alone, away, near = ball(""), ball("10 10 0.03"), ball("1.2 0.5 0.03")
+    np.testing.assert_allclose([*away.centre, away.radius], [*alone.centre, alone.radius])
+    assert np.linalg.norm(near.centre - [1.2, 0.5, 0.03]) < near.radius
