@@ -34,9 +34,10 @@ def simplify_meshes(model: mujoco.MjModel, height: int, pixels_per_metre: float)
         height: of an image [pixels].
         pixels_per_metre: of an image, where a camera is nearest to what it shows.
 
-    Textured meshes are kept, since simplification would tear their texture coordinates. Planes are divided less, and so
-    are cylinders where nothing is spherical: MuJoCo cuts each into a thousand triangles and more, whatever its size.
-    Spheres stay as they are, because their depth would suffer.
+    Meshes with a texture are kept, since simplification would tear their texture coordinates; many have such
+    coordinates and no texture. Planes are divided less, and so are cylinders where nothing is spherical: MuJoCo cuts
+    each into a thousand triangles and more, whatever its size. Spheres stay as they are, because their depth would
+    suffer.
     """
     simplified = copy.deepcopy(model)
     planes = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
@@ -47,8 +48,9 @@ def simplify_meshes(model: mujoco.MjModel, height: int, pixels_per_metre: float)
     if not np.isin(model.geom_type[drawn], _SPHERICAL).any():  # the divisions are the same for all shapes of a model
         quality.numslices = min(quality.numslices, round(_SLICES_PER_ROOT_ROW * height**0.5))
         quality.numstacks = min(quality.numstacks, _STACKS)
+    textured = _textured_meshes(model)
     for mesh in range(model.nmesh):
-        if model.mesh_texcoordnum[mesh]:
+        if mesh in textured:
             continue
         vertices = model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]]
         radius = np.linalg.norm(vertices - vertices.mean(0), axis=1).max()
@@ -57,6 +59,13 @@ def simplify_meshes(model: mujoco.MjModel, height: int, pixels_per_metre: float)
         if target < model.mesh_facenum[mesh]:
             _replace_mesh(simplified, model, mesh, target)
     return simplified
+
+
+def _textured_meshes(model: mujoco.MjModel) -> set[int]:
+    """Return the meshes that some geom shows with a texture."""
+    meshes = np.flatnonzero((model.geom_type == mujoco.mjtGeom.mjGEOM_MESH) & (model.geom_matid >= 0))
+    textured = meshes[(model.mat_texid[model.geom_matid[meshes]] >= 0).any(axis=1)]
+    return {mesh for mesh in model.geom_dataid[textured].tolist() if model.mesh_texcoordnum[mesh]}
 
 
 def _replace_mesh(simplified: mujoco.MjModel, model: mujoco.MjModel, mesh: int, target: int) -> None:
@@ -68,6 +77,7 @@ def _replace_mesh(simplified: mujoco.MjModel, model: mujoco.MjModel, mesh: int, 
     distinct, vertices, faces, normals, corners = _simplify(vertices.tobytes(), faces.tobytes(), target)
     if not 0 < len(faces) <= model.mesh_facenum[mesh] or len(vertices) > distinct or len(normals) > normal_count:
         return
+    simplified.mesh_texcoordadr[mesh], simplified.mesh_texcoordnum[mesh] = -1, 0
     simplified.mesh_facenum[mesh] = len(faces)
     simplified.mesh_vertnum[mesh] = len(vertices)
     simplified.mesh_normalnum[mesh] = len(normals)

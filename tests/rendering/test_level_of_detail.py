@@ -4,7 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from nerf_rl.cameras.geometry import intrinsics_from_fovy, look_at
 from nerf_rl.rendering.level_of_detail import corner_normals, simplify_meshes
+from nerf_rl.rendering.renderer import MultiViewRenderer
 
 MESH_ARRAYS = ("mesh_vert", "mesh_face", "mesh_normal", "mesh_facenormal")
 MESH_COUNTS = ("mesh_vertnum", "mesh_facenum", "mesh_normalnum")
@@ -119,6 +121,34 @@ def test_a_mesh_keeps_within_its_own_part_of_the_arrays():
         rows = slice(simplified.mesh_faceadr[mesh], simplified.mesh_faceadr[mesh] + simplified.mesh_facenum[mesh])
         assert simplified.mesh_face[rows].max() < simplified.mesh_vertnum[mesh]
         assert simplified.mesh_facenormal[rows].max() < simplified.mesh_normalnum[mesh]
+
+
+@pytest.mark.parametrize("texture", [False, True])
+def test_coordinates_of_a_texture_matter_where_there_is_one(texture: bool):
+    """Files of meshes often have such coordinates, and materials of one colour: all of robosuite's robots."""
+    vertices, faces = sphere(24)
+    numbers = [" ".join(map(str, array.ravel().tolist())) for array in (vertices, faces, vertices[:, :2])]
+    mesh = '<mesh name="m" vertex="{}" face="{}" texcoord="{}"/>'.format(*numbers)
+    image = '<texture name="t" type="2d" builtin="checker" width="8" height="8" rgb1="1 0 0" rgb2="0 0 1"/>'
+    map_ = 'texture="t"' if texture else ""
+    material = f'<material name="c" rgba="0.9 0.1 0.1 1" {map_}/>'
+    light, geom = '<light pos="0 -1 1" dir="0 1 -1"/>', '<geom type="mesh" mesh="m" material="c"/>'
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><asset>{image}{material}{mesh}</asset><worldbody>{light}{geom}</worldbody></mujoco>"
+    )
+    assert model.mesh_texcoordnum[0] > 0
+    simplified = simplify_meshes(model, 96, DETAIL * 96)
+    assert (simplified.mesh_facenum[0] < model.mesh_facenum[0]) is not texture
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    camera = intrinsics_from_fovy(45.0, 96, 96)[None], look_at(np.zeros(3), 0.25, -60.0, -30.0)[None]
+    seen = []
+    for quality in ("plain", "fast"):
+        renderer = MultiViewRenderer(model, 96, 96, 1, quality, DETAIL * 96)
+        seen.append(renderer.render_rgb(data, *camera).astype(int))
+        renderer.close()
+    assert np.ptp(seen[0][..., 0]) > 60
+    assert np.abs(seen[0] - seen[1]).mean() < 1.5
 
 
 def test_larger_images_keep_more_triangles_and_large_enough_ones_all():
