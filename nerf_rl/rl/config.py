@@ -155,6 +155,9 @@ class LearnerConfig:
     bound_by_returns: bool = False
     """let no step's target be less than what its episode brought from it on (He et al. 2017); for environments in which
     the same actions bring the same again"""
+    steady_ends: bool = False
+    """where that is used, or imitation_weight, expect no more behind the end of an episode that was broken off than its
+    last n_step rewards over and over: what the critic hoped for there would hold itself up"""
     imitation_weight: Annotated[float, Limits(least=0, most=10**6)] = 0.0
     """draw the actor to its own past actions where their episodes brought more than the critic expects of it now (Oh et
     al. 2018, "self-imitation learning"), by so much, times this weight; 0 for never"""
@@ -176,6 +179,11 @@ class LearnerConfig:
 
     def __post_init__(self) -> None:
         check_values(self, "learner.")
+        if self.steady_ends and not self.uses_returns:
+            raise UserError(
+                "--learner.steady_ends is of what episodes brought; give --learner.bound_by_returns or "
+                "--learner.imitation_weight, too"
+            )
 
     @property
     def uses_returns(self) -> bool:

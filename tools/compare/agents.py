@@ -45,6 +45,7 @@ INGREDIENTS = {
     "half the noise": ["--noise.decay_steps", "10000"],
     "little noise": ["--noise.decay_steps", "5000", "--noise.retries", "drawn"],
     "held retries": ["--noise.epsilon_z_retries", "0.1"],
+    "steady ends": ["--learner.steady_ends", "true"],
     "renewed exploration": ["--noise.renew_after", "20"],
     "from one success": ["--noise.wait_for_successes", "1"],
     "last weights": ["--learner.policy_average", "0"],

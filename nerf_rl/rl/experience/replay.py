@@ -18,7 +18,7 @@ from nerf_rl.errors import BEGIN_ANEW, MissingFileError, UserError
 from nerf_rl.files.tensor_files import require_tensors
 from nerf_rl.rl.config import ReplayConfig
 from nerf_rl.rl.experience.n_step import Transition
-from nerf_rl.rl.experience.returns_to_go import returns_to_go
+from nerf_rl.rl.experience.returns_to_go import returns_to_go, steady_value
 
 _UNKNOWN = torch.finfo(torch.float32).min  # finite, as all numbers of a checkpoint are
 
@@ -57,6 +57,7 @@ class Replay:
         checkpoint_rows: rows that checkpoints hold beside memory, at most; for the room that they need on the disk.
         envs: environments whose episodes are told apart.
         bounded_steps: that a transition spans, if what episodes brought is to be kept; 0 if it is not.
+        steady_ends: whether an episode's end is worth no more than to go on as in its last steps.
 
     Attributes:
         stored: how many rows have ever been stored; those still there are the last ``len(replay)`` of them.
@@ -77,6 +78,7 @@ class Replay:
         checkpoint_rows: int = 0,
         envs: int = 1,
         bounded_steps: int = 0,
+        steady_ends: bool = False,
     ):
         self.prioritised = config.prioritised
         self._batch_size = batch_size
@@ -97,7 +99,7 @@ class Replay:
         self._buffer.set_rng(self.generator)
         self._rows: Tensor | None = None
         self._running: list[list[Int[Tensor, "N"]]] = [[] for _ in range(envs)]
-        self._bounded_steps = bounded_steps
+        self._bounded_steps, self._steady_ends = bounded_steps, steady_ends
         self._bounds = torch.full((config.capacity if bounded_steps else 0,), _UNKNOWN)
         self._demonstrations: Float[Tensor, "D W"] = torch.zeros(0, sum(self._split))
         # at least one is the agent's own, of which demonstrations have the mean weight
@@ -275,8 +277,10 @@ class Replay:
             return
         parts = self._gather_rows(index).split(self._split, dim=-1)
         reward, discount, next_observation = (part.numpy() for part in parts[2:])
-        last_value = value(next_observation[-1])
-        found = returns_to_go(reward[:, 0], discount[:, 0], self._bounded_steps, last_value)
+        happened, last_value = (reward[:, 0], discount[:, 0], self._bounded_steps), value(next_observation[-1])
+        if self._steady_ends:
+            last_value = min(last_value, steady_value(*happened))
+        found = returns_to_go(*happened, last_value)
         self._bounds[index] = torch.from_numpy(found).float()
 
     def _extend(self, rows: Tensor) -> None:

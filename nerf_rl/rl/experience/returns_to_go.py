@@ -23,3 +23,14 @@ def returns_to_go(
     for t in reversed(range(len(reward))):
         found[t] = reward[t] + discount[t] * (found[t + steps] if t + steps < len(reward) else last_value)
     return found
+
+
+def steady_value(reward: Float[ndarray, "T"], discount: Float[ndarray, "T"], steps: int) -> float:
+    """Return what it is worth to go on for ever as in the last steps of an episode.
+
+    Args:
+        reward, discount, steps: as of :func:`returns_to_go`; the last transition that spans all of the steps counts, or
+            the first of a shorter episode.
+    """
+    last = max(0, len(reward) - steps)
+    return float(reward[last] / (1.0 - discount[last])) if discount[last] < 1.0 else np.inf

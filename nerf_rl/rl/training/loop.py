@@ -77,9 +77,9 @@ class Trainer:
         self.agent = make_agent(config, self.observation_size, self.action_size, resolve_device(config.device))
         self._checkpoint = last_checkpoint(run) if config.resume else None
         sizes = (self.observation_size, self.action_size, learner.batch_size)
-        bounded = learner.n_step if learner.uses_returns else 0
+        bounded = (learner.n_step if learner.uses_returns else 0, learner.steady_ends)
         self.replay = Replay(
-            config.replay, *sizes, run / "replay", config.seed, self._checkpoint_rows(), count, bounded
+            config.replay, *sizes, run / "replay", config.seed, self._checkpoint_rows(), count, *bounded
         )
         self._exploration = Exploration(config, count, self.action_size, self._rng)
         self._n_steps = [NStep(learner.n_step, learner.gamma) for _ in range(count)]

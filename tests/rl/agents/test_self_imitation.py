@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from nerf_rl.errors import UserError
 from nerf_rl.rl.agents.ddpg import DDPG
 from nerf_rl.rl.config import LearnerConfig, NetworkConfig
 from nerf_rl.rl.experience.replay import Batch
@@ -69,6 +70,12 @@ def test_without_a_weight_nothing_is_imitated() -> None:
 )
 def test_returns_are_kept_for_what_learns_from_them(keys: dict, uses: bool) -> None:
     assert LearnerConfig(**keys).uses_returns is uses
+
+
+def test_ends_can_be_steady_only_where_returns_are_used() -> None:
+    with pytest.raises(UserError, match=r"--learner\.bound_by_returns or --learner\.imitation_weight"):
+        LearnerConfig(steady_ends=True)
+    assert LearnerConfig(steady_ends=True, imitation_weight=0.1).steady_ends
 
 
 def test_targets_are_bounded_only_if_asked_for() -> None:

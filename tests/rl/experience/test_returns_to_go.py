@@ -13,7 +13,7 @@ from nerf_rl.rl.agents.ddpg import DDPG
 from nerf_rl.rl.config import LearnerConfig, NetworkConfig, ReplayConfig
 from nerf_rl.rl.experience.n_step import NStep, Transition
 from nerf_rl.rl.experience.replay import Replay
-from nerf_rl.rl.experience.returns_to_go import returns_to_go
+from nerf_rl.rl.experience.returns_to_go import returns_to_go, steady_value
 
 GAMMA, LENGTH, LAST = 0.9, 7, 5.0
 
@@ -72,6 +72,25 @@ def test_memory_tells_them_once_the_episode_is_over_and_of_no_other(tmp_path: Pa
     np.testing.assert_allclose([told[float(t)] for t in range(LENGTH)], expected(False), rtol=1e-6)
     assert max(told[offset + t] for offset in (100.0, 200.0) for t in range(LENGTH)) < -1e30
     replay.close()
+
+
+@pytest.mark.parametrize("n", [1, 3, LENGTH + 2])
+@pytest.mark.parametrize("hope", [1000.0, 1.0])
+def test_the_end_is_worth_no_more_than_to_go_on_as_in_the_last_steps(n: int, hope: float, tmp_path: Path) -> None:
+    spans = min(n, LENGTH)  # of an episode that is shorter, as many steps as there are
+    rewards = np.arange(LENGTH - spans, LENGTH) + 1.0
+    forever = (GAMMA ** np.arange(spans) @ rewards) / (1.0 - GAMMA**spans)
+    replay = Replay(ReplayConfig(capacity=100), 2, 1, 64, tmp_path / "replay", bounded_steps=n, steady_ends=True)
+    replay.add(transitions(n, False), 0)
+    replay.end_episode(0, lambda _: hope)
+    last = LENGTH + GAMMA * min(hope, forever)
+    assert bounds(replay)[LENGTH - 1.0] == pytest.approx(last, rel=1e-5)
+    replay.close()
+
+
+def test_what_never_ends_and_is_not_discounted_has_no_such_limit() -> None:
+    assert steady_value(np.ones(4), np.ones(4), 2) == np.inf
+    assert steady_value(np.ones(4), np.zeros(4), 2) == 1.0  # it ended by itself
 
 
 def test_a_row_that_is_written_anew_has_none(tmp_path: Path) -> None:
