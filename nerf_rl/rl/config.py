@@ -156,8 +156,8 @@ class LearnerConfig:
     """let no step's target be less than what its episode brought from it on (He et al. 2017); for environments in which
     the same actions bring the same again"""
     steady_ends: bool = False
-    """with bound_by_returns or imitation_weight: expect no more behind the end of an episode that was broken off than its
-    last n_step rewards over and over, since what the critic hopes for there would hold itself up"""
+    """with bound_by_returns or imitation_weight: expect no more behind the end of an episode that was broken off than
+    its last n_step rewards over and over, since what the critic hopes for there would hold itself up"""
     imitation_weight: Annotated[float, Limits(least=0, most=10**6)] = 0.0
     """draw the actor to its own past actions where their episodes brought more than the critic expects of it now (Oh et
     al. 2018, "self-imitation learning"), by so much, times this weight; 0 for never"""
