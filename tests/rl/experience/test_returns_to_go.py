@@ -1,6 +1,7 @@
 """What episodes brought, as the least that their steps are worth: computed, remembered, used by the critic."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from nerf_rl import cli
 from nerf_rl.errors import MissingFileError
 from nerf_rl.rl.agents.ddpg import DDPG
 from nerf_rl.rl.config import LearnerConfig, NetworkConfig, ReplayConfig
+from nerf_rl.rl.experience import replay as replay_module
 from nerf_rl.rl.experience.n_step import NStep, Transition
 from nerf_rl.rl.experience.replay import Replay
 from nerf_rl.rl.experience.returns_to_go import returns_to_go, steady_value
@@ -171,6 +173,22 @@ def test_a_run_that_is_bounded_resumes_bit_for_bit(tmp_path: Path) -> None:
     other = tmp_path / "other"
     assert cli.main([*tiny, "--env_steps", "120", "--out", str(other)]) == 0
     assert (other / "policy.safetensors").read_bytes() != policies[0]
+
+
+@pytest.mark.parametrize("steady", ["true", "false"])
+def test_a_run_keeps_to_the_end_that_was_asked_for(
+    steady: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[np.ndarray, np.ndarray, int]] = []
+
+    def counted(*happened: Any) -> float:
+        asked.append(happened)
+        return steady_value(*happened)
+
+    monkeypatch.setattr(replay_module, "steady_value", counted)
+    keys = ["--learner.bound_by_returns", "true", "--learner.steady_ends", steady, "--out", str(tmp_path / "run")]
+    assert cli.main(["train-rl", *TINY_TRAINING, *keys]) == 0
+    assert bool(asked) == (steady == "true")
 
 
 def test_an_algorithm_of_ones_own_has_to_know_values(
