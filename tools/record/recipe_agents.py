@@ -20,9 +20,12 @@ BEFORE = "strong self-imitation, curriculum, overtime, triple bonus and early ec
 """The recipe until retries had held actions of their own."""
 HELD = f"{BEFORE}, held retries"
 """The recipe until an episode's end was worth no more than its last steps."""
-ARM = f"{HELD}, steady ends"
+WIDE = f"{HELD}, steady ends"
+"""The recipe until networks had half of the paper's units."""
+ARM = f"{WIDE}, smaller networks"
 """The recipe: a test has it that these are the keys of rl/drawer-open.yaml."""
-WITHOUT = {ARM: "", HELD: "steady ends", BEFORE: "steady ends, held retries"}
+LACKING = ("smaller networks", "steady ends", "held retries")
+WITHOUT = {arm: ", ".join(LACKING[:count]) for count, arm in enumerate((ARM, WIDE, HELD, BEFORE))}
 """what recipes lack that is in the recipe now"""
 WHOLE = 50_000
 """environment steps of a whole run"""
