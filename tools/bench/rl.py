@@ -38,7 +38,7 @@ from nerf_rl.rl.experience.n_step import Transition
 from nerf_rl.rl.experience.replay import Replay
 from tools.page_tables import AGENTS_PAGE, markdown_table, write_tables
 
-RESULT, RECIPE = Path("rl/results/learner.json"), "rl/demo.yaml"
+RESULT, RECIPE = Path("rl/results/learner.json"), "rl/drawer-open.yaml"
 STATE, LATENTS, ACTION = 39, 128 + 4, 4  # numbers that an agent of drawer-open observes, and that it answers
 TRANSITIONS = 5_000
 CLEANRL, SAME, OURS = "CleanRL's DDPG", "ours, CleanRL's sizes", "ours, the recipe"
