@@ -24,8 +24,9 @@ WIDE = f"{HELD}, steady ends"
 """The recipe until networks had half of the paper's units."""
 ARM = f"{WIDE}, smaller networks"
 """The recipe: a test has it that these are the keys of rl/drawer-open.yaml."""
-LACKING = ("smaller networks", "steady ends", "held retries")
-WITHOUT = {arm: ", ".join(LACKING[:count]) for count, arm in enumerate((ARM, WIDE, HELD, BEFORE))}
+NEW = ("smaller networks", "steady ends", "held retries")
+"""what came into the recipe, the latest first"""
+WITHOUT = {arm: ", ".join(NEW[:count]) for count, arm in enumerate((ARM, WIDE, HELD, BEFORE))}
 """what recipes lack that is in the recipe now"""
 WHOLE = 50_000
 """environment steps of a whole run"""
