@@ -127,7 +127,7 @@ def test_shipped_recipes_are_valid(recipe: Path) -> None:
 
 
 def test_the_recipe_of_50_000_steps_learns_as_the_agents_that_its_figures_are_of() -> None:
-    arms = json.loads((ROOT / "rl" / "results" / "agents" / "drawer-open.json").read_text())["arms"]
+    arms = json.loads((ROOT / "rl" / "results" / "agents" / "drawer-open-latents.json").read_text())["arms"]
     same = {"scene": "metaworld/drawer-open-v3", "eyes": "latents and motion", "env_steps": 50_000}
     (arm,) = (arm for arm in arms if arm.items() >= {**same, "arm": ARM}.items())
     steps = ["--env_steps", str(arm["env_steps"])]

@@ -24,7 +24,7 @@ from tools.compare.agent_runs import EPISODES, KEYS, ON_THE_WAY, RECIPE, put_run
 from tools.page_tables import AGENTS_PAGE, markdown_table, task_name, write_tables
 
 RESULTS = Path("rl/results/agents")
-"""a file for each task"""
+"""a file for each task and what agents see by, latents or state"""
 LATENTS, STATE = "latents and motion", "state with changes"
 """what agents see by, unless it is called otherwise"""
 INGREDIENTS = {
@@ -100,10 +100,14 @@ def record(scene: str, eyes: str, env_steps: int, arm: str, keys: list[str], run
     """Put runs in place of those of the same seeds, and write file and table."""
     command = f"python -m tools.compare.agents; {RECIPE}, unless keys name another, {' '.join(KEYS)}"
     what = {"scene": scene, "eyes": eyes, "env_steps": env_steps, "arm": arm}
-    result = RESULTS / f"{task_name(scene).replace('/', '-')}.json"
-    put_runs(result, "arms", {"command": command}, what, {"keys": keys}, runs, order)
+    put_runs(result_file(scene, eyes), "arms", {"command": command}, what, {"keys": keys}, runs, order)
     arms = [arm for file in RESULTS.glob("*.json") for arm in read_entries(file, "arms")]
     write_tables(AGENTS_PAGE, {"agents": table(sorted(arms, key=order))})
+
+
+def result_file(scene: str, eyes: str) -> Path:
+    """Return the file of a task's agents; all that see by latents, whatever stands beside these, share one."""
+    return RESULTS / f"{task_name(scene).replace('/', '-')}-{eyes.split()[0]}.json"
 
 
 def order(entry: dict[str, Any]) -> tuple[Any, ...]:
