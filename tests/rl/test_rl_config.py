@@ -1,7 +1,6 @@
 """Mistakes in the keys of train-rl and evaluate, by the words of their answers; the shipped recipes."""
 
 import dataclasses
-import json
 from pathlib import Path
 
 import pytest
@@ -9,6 +8,8 @@ import yaml
 
 from nerf_rl import cli
 from nerf_rl.errors import UserError
+from tools.compare.agent_runs import read_entries
+from tools.compare.agents import LATENTS, result_file
 from tools.record.recipe_agents import ARM
 
 ROOT = Path(__file__).parents[2]
@@ -127,9 +128,9 @@ def test_shipped_recipes_are_valid(recipe: Path) -> None:
 
 
 def test_the_recipe_of_50_000_steps_learns_as_the_agents_that_its_figures_are_of() -> None:
-    arms = json.loads((ROOT / "rl" / "results" / "agents" / "drawer-open-latents.json").read_text())["arms"]
-    same = {"scene": "metaworld/drawer-open-v3", "eyes": "latents and motion", "env_steps": 50_000}
-    (arm,) = (arm for arm in arms if arm.items() >= {**same, "arm": ARM}.items())
+    same = {"scene": "metaworld/drawer-open-v3", "eyes": LATENTS}
+    arms = read_entries(ROOT / result_file(**same), "arms")
+    (arm,) = (arm for arm in arms if arm.items() >= {**same, "env_steps": 50_000, "arm": ARM}.items())
     steps = ["--env_steps", str(arm["env_steps"])]
     measured = cli.parse("train-rl", ["--config", str(ROOT / "rl/demo.yaml"), *steps, *arm["keys"], "--out", "x"])
     shipped = cli.parse("train-rl", ["--config", str(ROOT / "rl/drawer-open.yaml"), "--out", "x"])
