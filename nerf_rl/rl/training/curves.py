@@ -10,7 +10,7 @@ import numpy as np
 
 from nerf_rl.files.atomic import atomic_write, write_text
 from nerf_rl.loggers import CurveLogger
-from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS, tells_success, with_demonstrations
+from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS, TO_END, tells_success, with_demonstrations
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,8 +53,7 @@ class MetricsLog:
         self._path, self.loggers = path, loggers
         rows = []
         if env_steps and path.is_file():
-            with open(path, newline="", encoding="utf-8") as file:
-                rows = [row for row in csv.DictReader(file) if int(row["env_steps"]) <= env_steps]
+            rows = [row for row in _whole_rows(path) if int(row["env_steps"]) <= env_steps]
         text = io.StringIO()
         writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
         writer.writeheader()
@@ -92,6 +91,13 @@ class MetricsLog:
             logger.save()
 
 
+def _whole_rows(path: Path) -> list[dict[str, str]]:
+    """Return the rows of ``metrics.csv`` that were written to their end; a crash may have left others behind them."""
+    lines = path.read_text(encoding="utf-8", errors="replace").replace("\0", "").splitlines(keepends=True)
+    read = csv.DictReader(line for line in lines if line.endswith("\n"))
+    return [row for row in read if None not in row.values() and str(row.get("env_steps")).isdecimal()]
+
+
 def draw_learning_curve(path: Path, evaluations: list[dict[str, Any]], title: str) -> None:
     """Draw return over environment steps and, if it is known, success rate with its 95 % interval."""
     from matplotlib.figure import Figure  # takes half a second to import
@@ -118,7 +124,8 @@ def draw_success(axes: "Axes", evaluations: Sequence[Mapping[str, Any]]) -> None
 
 def draw_returns(axes: "Axes", evaluations: Sequence[Mapping[str, Any]]) -> None:
     """Draw mean return over environment steps."""
-    label = "mean return until success" if tells_success(evaluations) else "mean return"
+    stopped = tells_success(evaluations) and not any(evaluation.get(TO_END) for evaluation in evaluations)
+    label = "mean return until success" if stopped else "mean return"
     steps = [e["env_steps"] for e in evaluations]
     axes.plot(steps, [e["mean_return"] for e in evaluations], marker="o", color="tab:orange")
     axes.set(xlabel="environment steps", ylabel=label)

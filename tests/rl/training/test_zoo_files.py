@@ -10,6 +10,7 @@ import pytest
 from tiny_recipes import TINY_TRAINING
 
 from nerf_rl import cli
+from nerf_rl.rl.training.curves import MetricsLog
 from nerf_rl.rl.training.episodes import Episodes
 from nerf_rl.rl.training.zoo_files import EVALUATIONS_NPZ, MONITOR, ZooFiles
 
@@ -117,3 +118,15 @@ def test_nothing_pickled_is_read_from_a_run_folder(tmp_path: Path):
     ZooFiles(tmp_path, "scene", 5).add_evaluation(6, found(1.0))
     assert not (tmp_path / "sprung").exists()
     assert evaluations(tmp_path)["timesteps"].tolist() == [6]
+
+
+@pytest.mark.parametrize("tail", [b"90", b"abc,def\n", b"\0\0\0\n", b"\xff\n", b"90,1.0\n"])
+def test_what_a_crash_leaves_behind_the_rows_of_metrics_does_not_hold_up_a_resumed_run(tail: bytes, tmp_path: Path):
+    path = tmp_path / "metrics.csv"
+    before = MetricsLog(path)
+    for env_steps in (40, 80):
+        before.write(env_steps=env_steps, seconds=1.0)
+    whole = path.read_bytes()
+    path.write_bytes(whole + tail)
+    MetricsLog(path, 100)
+    assert path.read_bytes() == whole
