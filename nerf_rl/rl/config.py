@@ -106,7 +106,7 @@ class ReplayConfig:
     """transitions kept; the oldest are replaced"""
     prioritised: bool = True
     """draw transitions in proportion to (|temporal-difference error| + epsilon)^alpha instead of uniformly"""
-    alpha: Annotated[float, Limits(least=0, most=100)] = 0.6
+    alpha: Annotated[float, Limits(least=0, most=10)] = 0.6
     """exponent of the priorities; 0 is uniform"""
     beta: Share = 0.4
     """exponent of the importance weights at the start; it grows linearly to 1 at the last step"""
@@ -121,6 +121,8 @@ class ReplayConfig:
 
     def __post_init__(self) -> None:
         check_values(self, "replay.")
+        if self.prioritised and self.epsilon**self.alpha < 1e-30:  # 32 bits have no number below 1e-38 but zero
+            raise UserError(f"--replay.epsilon {self.epsilon} to the power of --replay.alpha {self.alpha} is too small")
 
 
 @dataclass
@@ -350,8 +352,7 @@ class TrainRLConfig:
             raise UserError(f"--echo_share {self.echo_share} is of retries; give --retry_share, too")
         if self.noise.retries != "first" and not self.retry_share:
             raise UserError(f"--noise.retries {self.noise.retries} is of retries; give --retry_share, too")
-        if self.noise.epsilon_z_retries and not self.retry_share:
-            held = self.noise.epsilon_z_retries
+        if (held := self.noise.epsilon_z_retries) and not self.retry_share:
             raise UserError(f"--noise.epsilon_z_retries {held} is of retries; give --retry_share, too")
 
     def content(self) -> dict[str, Any]:
@@ -361,21 +362,24 @@ class TrainRLConfig:
         return {key: value for key, value in dataclasses.asdict(self).items() if key not in free.split()}
 
     def _check_learning(self) -> None:
-        """Raise UserError if there would not be a single update; PPO has none of these keys."""
-        if self.algo != "ppo" and self.warmup_steps >= self.env_steps:
-            raise UserError(
-                f"--warmup_steps {self.warmup_steps} leaves nothing of --env_steps {self.env_steps} to learn in"
-            )
+        """Raise UserError if there would be no update; PPO has none of these keys."""
+        for key in ("warmup_steps", "learning_starts"):
+            if self.algo != "ppo" and (steps := getattr(self, key) or 0) >= self.env_steps:
+                raise UserError(f"--{key} {steps} leaves nothing of --env_steps {self.env_steps} to learn in")
+        if self.algo in BASELINES and self.replay.hindsight:
+            raise UserError(f"--replay.hindsight is for --algo ddpg; {self.algo} of Stable-Baselines3 has none")
         if self.algo in BASELINES:
             return
-        if self.learning_starts is not None and self.learning_starts >= self.env_steps:
-            raise UserError(
-                f"--learning_starts {self.learning_starts} leaves nothing of --env_steps {self.env_steps} to learn in"
-            )
         if self.replay.capacity < self.learner.batch_size:
             raise UserError(
                 f"--replay.capacity {self.replay.capacity} never holds a batch of --learner.batch_size "
                 f"{self.learner.batch_size}, so nothing would be learnt; give a larger memory or a smaller batch"
+            )
+        transitions = self.env_steps // self.action_repeat * (1 + self.replay.hindsight)
+        if transitions < self.learner.batch_size:
+            raise UserError(
+                f"--env_steps {self.env_steps} with --action_repeat {self.action_repeat} bring {transitions} transitions,"
+                f" fewer than --learner.batch_size {self.learner.batch_size}, so nothing would be learnt"
             )
 
     def _check_demonstrations(self) -> None:

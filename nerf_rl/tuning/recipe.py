@@ -12,7 +12,7 @@ from nerf_rl.files.outputs import plain
 from nerf_rl.rl.config import TrainRLConfig
 from nerf_rl.tuning.config import Range, TuneConfig
 
-_OURS = ("out", "resume", "overwrite", "seeds")
+_OURS = ("out", "resume", "overwrite", "seeds", "config", "print_config", "help")
 _ALONE: dict[str, Any] = {
     "envs": 1,
     "threads": 1,
@@ -43,7 +43,10 @@ def trial_config(config: TuneConfig, params: Mapping[str, Any], out: str, seed: 
     before = _parse(arguments, values)
     for key, value in elements.items():
         name, _, index = key.rpartition(".")
-        whole = list(values.get(name, value_at(before, name)))
+        whole = values.get(name, value_at(before, name))
+        if not isinstance(whole, (list, tuple)):
+            raise UserError(f"--space: {key} is an element of {name}, which is no list")
+        whole = list(whole)
         if int(index) >= len(whole):
             raise UserError(f"--space: {key} is beyond the {len(whole)} elements of {name}")
         whole[int(index)] = value

@@ -26,6 +26,19 @@ ROOT = Path(__file__).parents[2]
             ["--replay.capacity", "127"],
             "--replay.capacity 127 never holds a batch of --learner.batch_size 128, so nothing would be learnt; give",
         ),
+        (
+            ["--env_steps", "3000", "--action_repeat", "30"],
+            "--env_steps 3000 with --action_repeat 30 bring 100 transitions, fewer than --learner.batch_size 128, so",
+        ),
+        (["--replay.alpha", "11"], "--replay.alpha must be in [0, 10], got 11"),
+        (
+            ["--replay.alpha", "9", "--replay.epsilon", "1e-5"],
+            "--replay.epsilon 1e-05 to the power of --replay.alpha 9.0 is too small",
+        ),
+        (
+            ["--algo", "sb3-sac", "--action_repeat", "1", "--replay.hindsight", "4"],
+            "--replay.hindsight is for --algo ddpg; sb3-sac of Stable-Baselines3 has none",
+        ),
         (["--algo", "sb3-ddpg", "--learning_starts", "9"], "leave out --learning_starts"),
         (["--episode_steps", "1"], "--episode_steps 1 is less than --action_repeat 2"),
         (["--steps_after_success", "0"], "--steps_after_success must be at least 1, got 0"),
