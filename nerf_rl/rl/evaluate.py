@@ -23,8 +23,11 @@ _HOLD_FRAMES = 8  # for which the last frame of an episode stays
 def evaluate(config: EvaluateConfig) -> dict[str, Any]:
     """Evaluate the policy of ``config.run`` into ``config.out``; return the summary.
 
+    Episodes end where those of the training's own evaluations did: at the first success, or after it.
+
     Raises:
-        UserError: no policy there, not its encoder, no such device, an existing output folder.
+        UserError: no policy there, not its encoder, an environment that has changed since, no such device, an existing
+            output folder.
         FailureError: its actions or its returns are no numbers.
     """
     run, out = find_run(config.run), Path(config.out)
@@ -36,6 +39,7 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
     print(f"evaluate writes to {out}", flush=True)
 
     from nerf_rl.rl.environments.make import begin_workers, make_vector_env, spec_from_json
+    from nerf_rl.rl.environments.vector import close_all
 
     begin_workers(spec_from_json(description["env"]))
     from nerf_rl.rl.agents.policy import Policy
@@ -46,11 +50,12 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
     seeds = evaluation_seeds(config.seed, max(config.episodes, config.video_episodes))
     envs = make_vector_env(policy.spec, min(config.envs, config.episodes), str(device))
     try:
+        policy.require_spaces(envs.single_observation_space, envs.single_action_space)
         if policy.spec.encoder is not None:
             warn_of_workers_rendering(policy.spec.encoder, envs)
-        found = run_episodes(envs, policy.act, seeds[: config.episodes])
+        found = run_episodes(envs, policy.act, seeds[: config.episodes], policy.to_end)
     finally:
-        envs.close(terminate=True)
+        close_all(envs)
     found.require_numbers(policy.env_steps)
     summary = found.summary() | {"env_steps": policy.env_steps}
     if policy.demonstrations:

@@ -68,10 +68,11 @@ def rollout(
         device: to run the encoder on.
 
     Raises:
-        UserError: no policy there, or not its encoder.
+        UserError: no policy there, not its encoder, or an environment that has changed since.
     """
     policy = policy or Policy.load(Path(run), encoder)
     env, scene = make_env(policy.spec, device=device)
+    policy.require_spaces(env.observation_space, env.action_space)
     observe: Any = env if policy.spec.encoder is not None else None
     camera = _Camera(env, scene, view_size)
     view: list[ndarray] = []

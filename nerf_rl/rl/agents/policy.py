@@ -4,13 +4,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import torch
 from jaxtyping import Float
 from numpy import ndarray
 from torch import nn
 
-from nerf_rl.errors import FailureError
+from nerf_rl.errors import FailureError, UserError
 from nerf_rl.files.json_files import write_json
 from nerf_rl.files.tensor_files import filled, read_tensors, write_tensors
 from nerf_rl.files.versions import package_versions
@@ -38,6 +39,17 @@ class Policy:
     env_steps: int
     demonstrations: int = 0
     """that its training began with"""
+    to_end: bool = False
+    """whether evaluated episodes go on after a success"""
+
+    def require_spaces(self, observation: gymnasium.Space, action: gymnasium.Space) -> None:
+        """Raise UserError if an environment with these spaces is not the one that the policy was trained in."""
+        found, trained = (observation.shape, action.shape), ((self.observation_size,), (self.action_size,))
+        if found != trained:
+            raise UserError(
+                f"{self.spec.scene} has changed since the policy was trained in it: it has observations of {found[0]} "
+                f"and actions of {found[1]}, the policy {trained[0]} and {trained[1]}; train again"
+            )
 
     def act(self, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E A"]:
         """Return actions in [-1, 1].
@@ -66,6 +78,8 @@ class Policy:
         }
         if self.demonstrations:
             content["demonstrations"] = self.demonstrations
+        if self.to_end:
+            content["to_end"] = True
         write_json(folder / POLICY_DESCRIPTION, content)
 
     @staticmethod
@@ -88,7 +102,10 @@ class Policy:
         sizes = (content["observation_size"], content["action_size"])
         actor = filled(lambda: make_actor(*sizes, network), read_tensors(weights), weights)
         names = ("observation_size", "action_size", "proprio_names", "encoder_digest", "env_steps")
-        kept = {name: content[name] for name in names} | {"demonstrations": content.get("demonstrations", 0)}
+        kept = {name: content[name] for name in names} | {
+            "demonstrations": content.get("demonstrations", 0),
+            "to_end": content.get("to_end", False),
+        }
         return Policy(actor.eval().requires_grad_(False).to(device), spec_from_json(content["env"]), network, **kept)
 
 

@@ -36,7 +36,7 @@ _STRUCTURE = mapping(
         "encoder_digest": optional(text()),
         "env_steps": whole(),
     },
-    {"demonstrations": whole(1)},
+    {"demonstrations": whole(1), "to_end": flag},
     others=True,
 )
 _DDPG = mapping(

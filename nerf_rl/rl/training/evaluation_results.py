@@ -7,16 +7,18 @@ from typing import Any
 from nerf_rl.errors import MissingFileError
 from nerf_rl.files.json_files import read_json
 from nerf_rl.files.outputs import SUMMARY
-from nerf_rl.files.structure import listing, mapping, number, whole
+from nerf_rl.files.structure import flag, listing, mapping, number, whole
 
 SUCCESS, LOW, HIGH = "success_rate", "ci_low", "ci_high"
 """of environments that tell of success; other results are without"""
 DEMONSTRATIONS = "demonstrations"
 """how many the agent began with; results of agents that had none are without"""
+TO_END = "to_end"
+"""true where evaluated episodes went on after a success; other results are without"""
 EVALUATIONS = listing(
     mapping(
         {"env_steps": whole(), "episodes": whole(1), "mean_return": number()},
-        {**dict.fromkeys((SUCCESS, LOW, HIGH), number(0.0, 1.0)), DEMONSTRATIONS: whole(1)},
+        {**dict.fromkeys((SUCCESS, LOW, HIGH), number(0.0, 1.0)), DEMONSTRATIONS: whole(1), TO_END: flag},
         others=True,
     )
 )

@@ -67,7 +67,7 @@ class RunRecord:
         from nerf_rl.rl.training.curves import draw_learning_curve
 
         policy = Policy(actor, self._spec, network, *self._sizes, self._proprio_names, self._digest, state.env_steps)
-        policy.demonstrations = self._config.demonstrations
+        policy.demonstrations, policy.to_end = self._config.demonstrations, self._config.evaluation_to_end
         policy.save(self._run)
         draw_learning_curve(self._run / CURVE, state.evaluations, self._config.scene)
         if self._on_evaluation is not None:
