@@ -17,17 +17,18 @@ class FailureError(Exception):
 
 
 class DivergedError(FailureError):
-    """A run whose evaluation brought a return that is no number.
+    """A run whose evaluation brought an action or a return that is no number, or whose weights are none.
 
-    Attributes:
+    Args:
         env_steps: that the run took until then.
+        what: is not a number.
     """
 
-    def __init__(self, env_steps: int, episodes: int):
+    def __init__(self, env_steps: int, what: str):
         self.env_steps = env_steps
         super().__init__(
-            f"the run diverged: after {env_steps} env steps the mean return of {episodes} evaluated episodes is not a "
-            "number; lower the learning rates, or see whether the environment's rewards are numbers"
+            f"the run diverged: after {env_steps} env steps {what} is not a number; lower the learning rates, or see "
+            "how large the environment's observations and rewards are"
         )
 
 

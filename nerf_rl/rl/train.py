@@ -55,6 +55,7 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
     if is_baseline:
         import_extra("stable_baselines3", "sb3", f"--algo {config.algo}")
     from nerf_rl.rl.environments.make import EnvSpec, begin_workers, check_scene, make_goal_task, make_vector_env
+    from nerf_rl.rl.environments.vector import close_all
 
     observe = tuple(config.observe)
     spec = EnvSpec(
@@ -97,7 +98,7 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
             return _train_baseline(config, spec, envs, record)
         return _train(config, goal_task, envs, record)
     finally:
-        envs.close(terminate=True)
+        close_all(envs)
 
 
 def _train(config: TrainRLConfig, goal_task: "GoalTask | None", envs: Any, record: RunRecord) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from nerf_rl.cameras.rig_config import CameraConfig
+from nerf_rl.errors import FailureError
 from nerf_rl.scenes.body_parts import BodyParts
 from nerf_rl.scenes.render_data import RenderData
 from nerf_rl.scenes.simulation import simulation_of
@@ -116,9 +117,18 @@ class Scene(ABC):
 
 
 def success_in(info: Mapping[str, Any]) -> bool | None:
-    """Return whether a step's information tells of success, and None if it tells nothing of it."""
-    found = next((info[key] for key in _SUCCESS if key in info), None)
-    return None if found is None else bool(found)
+    """Return whether a step's information tells of success, and None if it tells nothing of it.
+
+    Raises:
+        FailureError: it tells of something that is neither true nor false.
+    """
+    name, found = next(((key, info[key]) for key in _SUCCESS if key in info), ("", None))
+    if found is None:
+        return None
+    value = np.asarray(found)
+    if value.size != 1 or value.dtype.kind not in "biuf" or bool(np.isnan(value).any()):
+        raise FailureError(f"a step's information has the {name} {found!r}, which is neither true nor false")
+    return bool(value.item())
 
 
 def model_digest(model: mujoco.MjModel) -> str:

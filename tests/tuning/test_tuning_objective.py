@@ -97,7 +97,7 @@ def test_a_run_that_diverges_is_worth_no_number_and_no_error(monkeypatch: pytest
         on_evaluation({"env_steps": 2000, "mean_return": 1.0})
         if config.seed == 0:
             return {"env_steps": 4000, "evaluations": [{"mean_return": 1.0}]}
-        raise DivergedError(3000, 10)
+        raise DivergedError(3000, "a weight")
 
     monkeypatch.setattr("nerf_rl.rl.train.train_rl", train)
     study = optuna.create_study(direction="maximize")

@@ -29,6 +29,7 @@ from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.files.versions import git_revision, package_versions, processor
 from nerf_rl.rendering.semantics import semantic_classes
 from nerf_rl.rl.environments.make import EnvSpec, make_vector_env
+from nerf_rl.rl.environments.vector import close_all
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes
 from nerf_rl.rl.training.evaluation_results import SUCCESS
 from nerf_rl.scenes.make import make_scene
@@ -118,7 +119,7 @@ def random_policy(scene: str, recipe: str) -> dict[str, Any]:
         seeds = evaluation_seeds(0, RANDOM_EPISODES)
         return run_episodes(envs, act, seeds, keys.get("evaluation_to_end", False)).summary()
     finally:
-        envs.close(terminate=True)
+        close_all(envs)
 
 
 def command(out: Path, *words: str) -> None:

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from nerf_rl.progress import Progress
 from nerf_rl.rl.baselines.models import CLIPPED_AT, export_actor, make_model
 from nerf_rl.rl.config import OFF_POLICY_BASELINES, TrainRLConfig
 from nerf_rl.rl.environments.make import EnvSpec, env_maker, worker_start_method
+from nerf_rl.rl.environments.vector import told
 from nerf_rl.rl.training.curves import MetricsLog
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes
 from nerf_rl.rl.training.zoo_files import ZooFiles
@@ -73,7 +75,7 @@ class BaselineTrainer(BaseCallback):
     def train(self, after_evaluation: Callable[[dict[str, Any], Progress], None]) -> None:
         """Train to the end; call ``after_evaluation`` with each result and the progress."""
         self._after_evaluation = after_evaluation
-        with Progress(self._config.env_steps, "env steps") as self._progress:
+        with Progress(self._config.env_steps, "env steps") as self._progress, told("what it said last is above"):
             self._sb3.learn(_FOREVER, callback=self)
 
     def actor(self) -> torch.nn.Sequential:
@@ -86,8 +88,9 @@ class BaselineTrainer(BaseCallback):
         return list(getattr(self._envs.unwrapped, "processes", []))
 
     def close(self) -> None:
-        """End the training environments."""
-        self._envs.close()
+        """End the training environments, also those whose process has ended already."""
+        with suppress(EOFError, OSError):
+            self._envs.close()
 
     def _on_step(self) -> bool:
         """Take one step of all environments into account; tell Stable-Baselines3 whether to go on."""

@@ -9,6 +9,8 @@ from gymnasium.spaces import Box, Dict
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
+from nerf_rl.errors import FailureError, UserError
+
 OBSERVATION, ACHIEVED, DESIRED = "observation", "achieved_goal", "desired_goal"
 """parts of a goal environment's observation, after Gymnasium-Robotics"""
 
@@ -61,6 +63,11 @@ class GoalLayout:
         """Return the achieved goals."""
         return vector[..., self.observation : self.observation + self.goal]
 
+    def desired(self, vector: Float[ndarray, "*T O"]) -> Float[ndarray, "*T G"]:
+        """Return the desired goals."""
+        first = self.observation + self.goal
+        return vector[..., first : first + self.goal]
+
     def with_goal(self, vector: Float[ndarray, "*T O"], goal: Float[ndarray, "*T G"]) -> Float[ndarray, "*T O"]:
         """Return the vectors as they would be if the desired goals were these."""
         relived, desired = vector.copy(), self.observation + self.goal
@@ -82,6 +89,11 @@ class GoalBesideLatent:
     size: int
     """numbers of the goal"""
 
+    def desired(self, vector: Float[ndarray, "*T O"]) -> Float[ndarray, "*T G"]:
+        """Return the desired goals."""
+        first = vector.shape[-1] + self.start
+        return vector[..., first : first + self.size]
+
     def with_goal(self, vector: Float[ndarray, "*T O"], goal: Float[ndarray, "*T G"]) -> Float[ndarray, "*T O"]:
         """Return the vectors as they would be if the desired goals were these."""
         relived, first = vector.copy(), vector.shape[-1] + self.start
@@ -93,11 +105,18 @@ def goal_layout(env: gymnasium.Env) -> GoalLayout:
     """Return how the goals of an environment that has some lie in its observation.
 
     The displacement is observed where the environment's ``observes_displacement`` is true.
+
+    Raises:
+        UserError: what is achieved and what is desired have different shapes.
     """
     space = env.observation_space
     assert isinstance(space, Dict)
     sizes = {name: int(np.prod(space[name].shape or ())) for name in (OBSERVATION, ACHIEVED, DESIRED)}
-    assert sizes[ACHIEVED] == sizes[DESIRED]
+    if space[ACHIEVED].shape != space[DESIRED].shape:
+        raise UserError(
+            f"a goal environment's {ACHIEVED} and {DESIRED} must have one shape, to be exchanged, and have "
+            f"{space[ACHIEVED].shape} and {space[DESIRED].shape}"
+        )
     return GoalLayout(sizes[OBSERVATION], sizes[DESIRED], getattr(env.unwrapped, "observes_displacement", False))
 
 
@@ -132,10 +151,12 @@ class GoalTask:
     Args:
         rules: the environment's.
         layout: of the agent's observations, which :class:`GoalObservation` makes, or a latent with goals beside.
+        shape: of the environment's goals; a vector by default.
     """
 
-    def __init__(self, rules: GoalRules, layout: GoalLayout | GoalBesideLatent):
+    def __init__(self, rules: GoalRules, layout: GoalLayout | GoalBesideLatent, shape: tuple[int, ...] | None = None):
         self._rules, self._layout = rules, layout
+        self._shape = shape or (layout.goal if isinstance(layout, GoalLayout) else layout.size,)
 
     def achieved(self, observation: Float[ndarray, "*T O"]) -> Float[ndarray, "*T G"]:
         """Return the goal that each observation of the true state fulfils."""
@@ -146,12 +167,27 @@ class GoalTask:
         """Return the observations as they would be if the goals were these."""
         return self._layout.with_goal(observation, goal)
 
+    def ended_by_goal(self, observation: Float[ndarray, "O"], achieved: Float[ndarray, "G"]) -> bool:
+        """Tell whether it is its own goal that terminates an episode at an observation."""
+        return bool(self.outcome(achieved[None], self._layout.desired(observation)[None])[1][0])
+
     def outcome(
         self, achieved: Float[ndarray, "*T G"], goal: Float[ndarray, "*T G"]
     ) -> tuple[Float[ndarray, "*T"], Bool[ndarray, "*T"]]:
-        """Return the reward for arriving at ``achieved`` and whether the episode terminates there."""
-        pairs = list(zip(achieved.reshape(-1, achieved.shape[-1]), goal.reshape(-1, goal.shape[-1]), strict=True))
-        rewards = np.array([float(self._rules.compute_reward(*pair, {})) for pair in pairs])
+        """Return the reward for arriving at ``achieved`` and whether the episode terminates there.
+
+        Raises:
+            FailureError: the environment cannot tell of a goal without a step's information.
+        """
+        shape = (-1, *self._shape)
+        pairs = list(zip(achieved.reshape(shape), goal.reshape(shape), strict=True))
+        try:
+            rewards = np.array([float(self._rules.compute_reward(*pair, {})) for pair in pairs])
+        except Exception as error:  # an environment of the user's own
+            raise FailureError(
+                f"compute_reward of the environment fails for a goal in hindsight, where a step's information is not "
+                f"known ({type(error).__name__}: {error}); leave out --replay.hindsight"
+            ) from error
         ends = getattr(self._rules, "compute_terminated", None)
         terminated = np.array([ends is not None and bool(ends(*pair, {})) for pair in pairs], dtype=np.bool_)
         return rewards.reshape(achieved.shape[:-1]), terminated.reshape(achieved.shape[:-1])

@@ -24,18 +24,15 @@ from nerf_rl.rl.environments.observed_columns import ObservedColumns
 from nerf_rl.rl.environments.panda_reach import PANDA_REACH, PandaReach
 from nerf_rl.rl.environments.scripted import ScriptedActions
 from nerf_rl.rl.environments.wrappers import (
-    OVERTIME,
     ActionRepeat,
     StateObservation,
     TimeLimit,
+    TracedErrors,
     with_flat_observation,
     with_unit_actions,
 )
 from nerf_rl.scenes.base import GYM, METAWORLD, Policy, Scene
 from nerf_rl.scenes.make import MJCF_ENDINGS, make_scene, scene_modules
-
-TIMEOUT = 300.0
-"""[s] a worker that is silent for so long has hung"""
 
 
 @dataclass(frozen=True)
@@ -116,16 +113,17 @@ def make_goal_task(spec: EnvSpec, beside_latent: Sequence[str] = ()) -> GoalTask
     env: Any = PandaReach(spec.panda) if spec.scene == PANDA_REACH else _make_scene(spec).env
     if not has_goal(env):
         return None
-    layout = goal_layout(env)
+    layout, shape = goal_layout(env), env.observation_space[DESIRED].shape
     if spec.encoder is None:
-        return GoalTask(env.unwrapped, layout)
+        return GoalTask(env.unwrapped, layout, shape)
     first = f"{DESIRED}_0"
     if first not in beside_latent:
         raise UserError(
             "--replay.hindsight exchanges the desired goal, which an agent with an --encoder observes by --observe "
             f'"[{DESIRED}]" alone; give it, or leave out hindsight'
         )
-    return GoalTask(env.unwrapped, GoalBesideLatent(beside_latent.index(first) - len(beside_latent), layout.goal))
+    beside = GoalBesideLatent(beside_latent.index(first) - len(beside_latent), layout.goal)
+    return GoalTask(env.unwrapped, beside, shape)
 
 
 def check_scene(spec: EnvSpec, demonstrations: bool = False) -> tuple[str, ...]:
@@ -154,7 +152,8 @@ def make_vector_env(spec: EnvSpec, count: int, device: str = "cpu") -> AsyncVect
     """Return ``count`` environments, each in a process with one thread and its encoder on ``device``.
 
     They never reset themselves (Gymnasium's ``AutoresetMode.DISABLED``): a step always returns the true observation
-    after it, also the last of an episode, and the caller starts episodes with :func:`reset_some`, seed by seed.
+    after it, also the last of an episode, and the caller starts episodes with
+    :func:`nerf_rl.rl.environments.vector.reset_some`, seed by seed.
     """
     return AsyncVectorEnv(
         [env_maker(spec, device)] * count, context=worker_start_method(spec), autoreset_mode=AutoresetMode.DISABLED
@@ -183,25 +182,6 @@ def begin_workers(spec: EnvSpec) -> None:
 def _worker_modules(spec: EnvSpec) -> list[str]:
     eyes = [] if spec.encoder is None else ["nerf_rl.rl.environments.observation", "nerf_rl.rl.environments.controls"]
     return [__name__, *scene_modules(spec.scene), *eyes]
-
-
-def step_all(envs: Any, action: ndarray) -> tuple[ndarray, ndarray, ndarray, ndarray, dict[str, Any]]:
-    """Take an action [E, A] in all environments, as their ``step`` does, which would wait for ever."""
-    envs.step_async(action)
-    return envs.step_wait(timeout=TIMEOUT)
-
-
-def reset_some(envs: Any, which: ndarray, seeds: list[int], overtime: int = 0) -> ndarray:
-    """Start new episodes in the environments where ``which`` [E] is true; return all observations [E, O].
-
-    Args:
-        seeds: one for each environment; those of the others are not used.
-        overtime: environment steps for which the episodes go on after their first success, even beyond the time limit.
-    """
-    mask = np.asarray(which, dtype=np.bool_)
-    envs.reset_async(seed=list(seeds), options={"reset_mask": mask, OVERTIME: overtime})
-    observations, _ = envs.reset_wait(timeout=TIMEOUT)
-    return observations
 
 
 def _with_script(env: gymnasium.Env, scene: Scene | None) -> gymnasium.Env:
@@ -243,4 +223,5 @@ def _make_worker_env(spec: EnvSpec, device: str = "cpu") -> gymnasium.Env:
             import torch
 
             torch.set_num_threads(1)
+        return TracedErrors(make_env(spec, device=device)[0])
     return make_env(spec, device=device)[0]

@@ -21,6 +21,7 @@ from nerf_rl.pretrain.model.encoder import Encoder
 from nerf_rl.rendering.following import body_id
 from nerf_rl.rendering.renderer import MultiViewRenderer
 from nerf_rl.rl.environments.encoder_match import warn_of_other_rendering
+from nerf_rl.rl.environments.wrappers import observed_numbers
 from nerf_rl.scenes.render_data import RenderData
 from nerf_rl.scenes.simulation import simulation_of
 
@@ -76,14 +77,18 @@ class LatentObservation(gymnasium.ObservationWrapper):
         self.observation_space = Box(-np.inf, np.inf, (size,), np.float32)
 
     def observation(self, observation: Any) -> Float[ndarray, "O"]:
-        """Look at the scene as it is now and return [latent, proprioception]."""
+        """Look at the scene as it is now and return [latent, proprioception].
+
+        Raises:
+            FailureError: proprioception does not have as many numbers as it had, or one that is not finite.
+        """
         latent = self.look()
         standardised = torch.zeros_like(latent) if self._blind else self.encoder.standardise(latent)
         self.last_latent = latent[0].float().cpu().numpy()
         parts = [standardised[0].float().cpu().numpy()]
         if self._proprio is not None:
             parts.append(self._proprio(observation))
-        return np.concatenate(parts).astype(np.float32)
+        return observed_numbers(self, np.concatenate(parts))
 
     @torch.inference_mode()
     def look(self) -> Float[Tensor, "1 Z"]:

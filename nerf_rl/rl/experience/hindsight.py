@@ -51,24 +51,28 @@ class Hindsight:
         observation: Float[ndarray, "O"],
         action: Float[ndarray, "A"],
         next_observation: Float[ndarray, "O"],
-        ended: bool,
+        terminated: bool,
+        truncated: bool,
         achieved: Float[ndarray, "G"] | None = None,
     ) -> list[Transition]:
         """Take one step in; return the episode's relabelled transitions when it has ended.
 
         Args:
             observation, action, next_observation: of the step.
-            ended: whether the episode did with it.
+            terminated, truncated: whether the episode was with it. One that terminates at anything but its goal, such
+                as a fall, terminates there whatever its goal.
             achieved: the goal that it fulfilled; None if ``next_observation`` tells.
         """
         self._observations.append(observation)
         self._actions.append(action)
         self._next_observations.append(next_observation)
         self._achieved.append(self._task.achieved(next_observation) if achieved is None else achieved)
-        return self.cut() if ended else []
+        if not (terminated or truncated):
+            return []
+        return self.cut(terminated and not self._task.ended_by_goal(next_observation, self._achieved[-1]))
 
-    def cut(self) -> list[Transition]:
-        """End the episode; return its relabelled transitions."""
+    def cut(self, fell: bool = False) -> list[Transition]:
+        """End the episode, which may have been at something that ends it whatever its goal; return its transitions."""
         length = len(self._actions)
         transitions = []
         if length:
@@ -77,7 +81,7 @@ class Hindsight:
             for _ in range(self._copies):
                 goals = self._goals(achieved)
                 relabelled = [
-                    self._relabel(observations, next_observations, t, achieved, goals[t]) for t in range(length)
+                    self._relabel(observations, next_observations, t, achieved, goals[t], fell) for t in range(length)
                 ]
                 transitions += relabelled
         self._observations, self._actions, self._next_observations, self._achieved = [], [], [], []
@@ -99,6 +103,7 @@ class Hindsight:
         first: int,
         achieved: Float[ndarray, "T G"],
         goal: Float[ndarray, "G"],
+        fell: bool,
     ) -> Transition:
         """Return the transition that begins at step ``first`` with another goal."""
         until = min(first + self._n, len(achieved))
@@ -107,10 +112,11 @@ class Hindsight:
         )
         ends = np.flatnonzero(terminated)
         count = int(ends[0]) + 1 if len(ends) else until - first
+        over = bool(len(ends)) or (fell and until == len(achieved))
         return Transition(
             self._task.with_goal(observations[first], goal),
             self._actions[first],
             float(np.dot(self._gamma ** np.arange(count), rewards[:count])),
-            0.0 if len(ends) else self._gamma**count,
+            0.0 if over else self._gamma**count,
             self._task.with_goal(next_observations[first + count - 1], goal),
         )

@@ -14,8 +14,8 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from nerf_rl.errors import FailureError
-from nerf_rl.rl.environments.make import TIMEOUT, reset_some, step_all
 from nerf_rl.rl.environments.scripted import SCRIPTED_ACTION
+from nerf_rl.rl.environments.vector import call_all, reset_some, step_all
 from nerf_rl.rl.experience.n_step import NStep, Transition
 from nerf_rl.rl.training.learnt_reward import learnt_reward
 
@@ -107,8 +107,7 @@ def _act(envs: Any, noise: float, seed: int, episodes: Sequence[int], success_bo
     env_steps, success = np.zeros(count, np.int64), np.zeros(count, np.bool_)
     done: dict[int, Demonstration] = {}
     while len(done) < count:
-        envs.call_async(SCRIPTED_ACTION)
-        script = np.stack(envs.call_wait(timeout=TIMEOUT))
+        script = np.stack(call_all(envs, SCRIPTED_ACTION))
         for env, (_, rng) in enumerate(drawn):
             script[env] += noise * rng.standard_normal(size)
         action = np.clip(script, -1.0, 1.0).astype(np.float32)

@@ -11,8 +11,8 @@ from numpy import ndarray
 
 from nerf_rl.errors import DivergedError
 from nerf_rl.metrics import wilson_interval
-from nerf_rl.rl.environments.make import reset_some, step_all
-from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS
+from nerf_rl.rl.environments.vector import reset_some, step_all
+from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS, TO_END
 
 Act = Callable[[ndarray], ndarray]
 """From observations [E, O] to actions [E, A]."""
@@ -25,18 +25,23 @@ class Episodes:
     success: Bool[ndarray, "N"] | None
     """at any step; None where the environment does not tell"""
     returns: Float[ndarray, "N"]
-    """sum of rewards until the episode was stopped"""
+    """sum of rewards until the episode was stopped; no numbers once an action was none"""
     length: Int[ndarray, "N"]
     """environment steps until the episode was stopped"""
+    to_end: bool = False
+    """whether they went on after a success"""
 
     def require_numbers(self, env_steps: int) -> None:
-        """Raise DivergedError if the returns, of a policy with so many environment steps behind it, are no numbers."""
+        """Raise DivergedError if returns or actions, of a policy with so many environment steps, were no numbers."""
         if not np.isfinite(self.returns.mean()):
-            raise DivergedError(env_steps, len(self.returns))
+            what = f"the mean return of {len(self.returns)} evaluated episodes, or an action in them,"
+            raise DivergedError(env_steps, what)
 
     def summary(self) -> dict[str, Any]:
         """Return the counts and rates of ``summary.json``; the interval is Wilson's, 95 %."""
-        facts = {"episodes": len(self.returns), "mean_return": float(self.returns.mean())}
+        facts: dict[str, Any] = {"episodes": len(self.returns), "mean_return": float(self.returns.mean())}
+        if self.to_end:
+            facts[TO_END] = True
         if self.success is None:
             return facts
         low, high = wilson_interval(int(self.success.sum()), len(self.success))
@@ -76,10 +81,13 @@ def run_episodes(envs: gymnasium.vector.VectorEnv, act: Act, seeds: Sequence[int
             episode[env] = waiting.pop(0) if waiting else None
             slot_seeds[env] = seeds[episode[env] or 0]
         if all(index is None for index in episode):
-            return Episodes(success if told else None, returns, length)
+            return Episodes(success if told else None, returns, length, to_end)
         if restart.any():
             observation = reset_some(envs, restart, slot_seeds)
-        observation, reward, terminated, truncated, info = step_all(envs, act(observation))
+        action = act(observation)
+        if not np.isfinite(action).all():  # MuJoCo would take it for zero, and go on
+            return Episodes(None, np.full(len(seeds), np.nan), length)
+        observation, reward, terminated, truncated, info = step_all(envs, action)
         restart = terminated | truncated
         told = told or "success" in info
         for env, index in enumerate(episode):

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from numpy import ndarray
 
-from nerf_rl.errors import UserError
+from nerf_rl.errors import DivergedError, UserError
 from nerf_rl.files.tensor_files import require_tensors, strip_prefix
 from nerf_rl.loggers import make_loggers
 from nerf_rl.machine.devices import resolve_device
@@ -22,7 +22,7 @@ from nerf_rl.rl.agents.policy import act
 from nerf_rl.rl.agents.policy_file import encoder_digest
 from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
 from nerf_rl.rl.environments.goals import ACHIEVED, GoalTask
-from nerf_rl.rl.environments.make import TIMEOUT, reset_some
+from nerf_rl.rl.environments.vector import begin_step, finish_step, reset_some
 from nerf_rl.rl.experience.hindsight import Hindsight
 from nerf_rl.rl.experience.n_step import NStep
 from nerf_rl.rl.experience.noise import linear_schedule
@@ -161,7 +161,7 @@ class Trainer:
         """Run evaluation episodes with the policy that is kept; return and keep the result.
 
         Raises:
-            DivergedError: a return is no number.
+            DivergedError: a return or an action is no number.
         """
         seeds = evaluation_seeds(0, episodes)
         found = run_episodes(self._envs, partial(act, self.agent.policy()), seeds, self._config.evaluation_to_end)
@@ -174,8 +174,14 @@ class Trainer:
         return self.evaluations[-1]
 
     def save(self) -> None:
-        """Write a checkpoint; call it only between two calls of :meth:`train`."""
+        """Write a checkpoint; call it only between two calls of :meth:`train`.
+
+        Raises:
+            DivergedError: the agent holds what is no number, of which nobody could go on; the last checkpoint stays.
+        """
         tensors = {f"agent.{name}": tensor for name, tensor in self.agent.state_dict().items()}
+        if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors.values()):
+            raise DivergedError(self.env_steps, "a weight of the agent")
         tensors |= {f"replay.{name}": tensor for name, tensor in self.replay.bookkeeping().items()}
         tensors |= {f"echo.{name}": tensor for name, tensor in self._echoes.state_dict().items()}
         tensors["torch_rng"] = torch.get_rng_state()
@@ -268,10 +274,9 @@ class Trainer:
     def _step(self, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E O"]:
         """Act once in every environment, learning meanwhile; return the next observations."""
         action = self._echoes.act(self._explore(observation), self._success)
-        self._envs.step_async(action)  # type: ignore[attr-defined]
+        begin_step(self._envs, action)
         self._learn()
-        stepped = self._envs.step_wait(timeout=TIMEOUT)  # type: ignore[attr-defined]
-        next_observation, reward, terminated, truncated, info = stepped
+        next_observation, reward, terminated, truncated, info = finish_step(self._envs)
         truncated = truncated | self._curriculum.step(self._success, info["env_steps"])
         learnt = learnt_reward(reward, info, self._config.success_bonus)
         for env, n_step in enumerate(self._n_steps):
@@ -279,9 +284,9 @@ class Trainer:
             self.replay.add(n_step.push(*step, bool(terminated[env]), bool(truncated[env])), env)
         achieved = info.get(ACHIEVED, [None] * len(action))
         for env, hindsight in enumerate(self._hindsight):
-            ended = bool(terminated[env] or truncated[env])
+            ended = bool(terminated[env]), bool(truncated[env])
             seen = (observation[env], action[env], next_observation[env])
-            self.replay.add(hindsight.push(*seen, ended, achieved[env]))
+            self.replay.add(hindsight.push(*seen, *ended, achieved[env]))
         self.agent.update_statistics(next_observation)
         self.env_steps += int(info["env_steps"].sum())
         self._returns += reward

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from tiny_environment import Point, point_env, point_envs
 
-from nerf_rl.errors import UserError
+from nerf_rl.errors import FailureError, UserError
 from nerf_rl.machine.processes import start_method
-from nerf_rl.rl.environments.make import EnvSpec, make_env, make_vector_env, reset_some
-from nerf_rl.rl.environments.wrappers import OVERTIME, TimeLimit
+from nerf_rl.rl.environments.make import EnvSpec, make_env, make_vector_env
+from nerf_rl.rl.environments.vector import OVERTIME, reset_some
+from nerf_rl.rl.environments.wrappers import TimeLimit
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes, training_seed
 
 
@@ -115,11 +116,14 @@ def test_a_worker_that_hangs_is_noticed(where: str, monkeypatch: pytest.MonkeyPa
 
     try:
         reset_some(envs, np.ones(2, np.bool_), [0, 1])
-        monkeypatch.setattr("nerf_rl.rl.environments.make.TIMEOUT", 1.0)
+        monkeypatch.setattr("nerf_rl.rl.environments.vector.TIMEOUT", 1.0)
         if where == "reset":
             os.kill(pid, signal.SIGSTOP)
-        with pytest.raises(multiprocessing.TimeoutError, match=f"`{where}_wait` has timed out after 1.0"):
+        with pytest.raises(
+            FailureError, match="the process of an environment has not answered for 1 s: it hangs"
+        ) as told:
             run_episodes(envs, hang, [0, 1])
+        assert f"`{where}_wait` has timed out after 1.0" in str(told.value.__cause__)
     finally:
         release.cancel()
         os.kill(pid, signal.SIGCONT)

@@ -30,9 +30,8 @@ def relive(task: GoalTask, observations: list[np.ndarray], **keys: object) -> li
     hindsight = Hindsight(task, keys.pop("copies", 1), N, GAMMA, np.random.default_rng(0), **keys)
     transitions: list[Transition] = []
     for t in range(len(observations) - 1):
-        transitions += hindsight.push(
-            observations[t], np.array([float(t)]), observations[t + 1], t == len(observations) - 2
-        )
+        last = t == len(observations) - 2
+        transitions += hindsight.push(observations[t], np.array([float(t)]), observations[t + 1], False, last)
     return transitions
 
 
@@ -81,8 +80,8 @@ def test_every_step_is_relabelled_as_often_as_asked_and_nothing_leaks_into_the_n
     hindsight = Hindsight(task, 4, N, GAMMA, np.random.default_rng(0))
     observations = walk(5, np.ones(3))
     for t in range(4):
-        assert hindsight.push(observations[t], np.zeros(1), observations[t + 1], False) == []
-    assert len(hindsight.push(observations[4], np.zeros(1), observations[5], True)) == 20
+        assert hindsight.push(observations[t], np.zeros(1), observations[t + 1], False, False) == []
+    assert len(hindsight.push(observations[4], np.zeros(1), observations[5], False, True)) == 20
     assert hindsight.cut() == []
 
 

@@ -191,6 +191,26 @@ def test_a_run_whose_returns_are_no_numbers_says_that_it_diverged(
     assert told.value.env_steps == 48 and not trainer.evaluations
 
 
+def test_a_policy_whose_actions_are_no_numbers_is_not_evaluated_and_not_kept(
+    envs: AsyncVectorEnv, tmp_path: Path
+) -> None:
+    """MuJoCo takes such an action for none, so that returns would be numbers."""
+    trainer = Trainer(config(tmp_path), envs, tmp_path)
+    train(trainer, 48)
+    trainer.save()
+    kept = sorted((tmp_path / "checkpoints").iterdir())
+    with torch.no_grad():
+        for weights in trainer.agent.policy()[1].parameters():
+            weights.fill_(torch.nan)
+    with pytest.raises(DivergedError, match="evaluated episodes, or an action in them, is not a number"):
+        trainer.evaluate(3)
+    train(trainer, 72)
+    with pytest.raises(DivergedError, match="after 72 env steps a weight of the agent is not a number"):
+        trainer.save()
+    trainer.replay.close()
+    assert not trainer.evaluations and sorted((tmp_path / "checkpoints").iterdir()) == kept
+
+
 @pytest.mark.parametrize("told", [True, False])
 def test_exploration_waits_for_a_success_where_the_scene_tells_of_it(
     told: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
