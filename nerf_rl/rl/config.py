@@ -378,8 +378,8 @@ class TrainRLConfig:
         transitions = self.env_steps // self.action_repeat * (1 + self.replay.hindsight)
         if transitions < self.learner.batch_size:
             raise UserError(
-                f"--env_steps {self.env_steps} with --action_repeat {self.action_repeat} bring {transitions} transitions,"
-                f" fewer than --learner.batch_size {self.learner.batch_size}, so nothing would be learnt"
+                f"--env_steps {self.env_steps} with --action_repeat {self.action_repeat} bring {transitions} "
+                f"transitions, fewer than --learner.batch_size {self.learner.batch_size}, so nothing would be learnt"
             )
 
     def _check_demonstrations(self) -> None:
