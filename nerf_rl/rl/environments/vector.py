@@ -78,7 +78,7 @@ def close_all(envs: Any) -> None:
 
 
 @contextmanager
-def told(remedy: str = "go on from the last checkpoint with --resume true") -> Iterator[None]:
+def told(remedy: str = "training goes on from its last checkpoint with --resume true") -> Iterator[None]:
     """Say in a sentence that a process has ended or hangs; what an environment itself tells is a sentence already."""
     try:
         with _without_gymnasiums_words():

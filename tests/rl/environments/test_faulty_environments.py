@@ -63,7 +63,7 @@ def test_a_run_ends_with_a_sentence_alone_and_keeps_its_last_checkpoint(
     longer = (*harmless, "--episode_steps", "20", "--env_steps", "200", "--resume", "true")
     assert train(run, "--scene", faulty(fault), *longer) == 1
     told = capfd.readouterr().err
-    ended = "the process of an environment has ended: something killed it, such as want of memory; go on from the last"
+    ended = "the process of an environment has ended: something killed it, such as want of memory; training goes on"
     assert re.search(TOLD.get(fault, ended), told)
     assert "Traceback" not in told and "ERROR" not in told
     assert sorted((run / "checkpoints").rglob("*")) == before
