@@ -13,7 +13,10 @@ from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.hub.fetch import ENCODER_IN_AGENT
 from nerf_rl.pretrain.model import field_description
+from nerf_rl.pretrain.model.encoder import Encoder
 from nerf_rl.pretrain.model.encoder_file import DESCRIPTION, WEIGHTS, is_checkpoint, read_description
+from nerf_rl.pretrain.model.field import RadianceField
+from nerf_rl.rl.agents.policy import Policy
 from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION, POLICY_WEIGHTS, check_policy
 
 
@@ -21,17 +24,19 @@ def write_encoder(source: Path | str, folder: Path) -> dict[str, Any]:
     """Write an encoder's files, and those of its radiance field if it has one; return its description.
 
     Raises:
-        UserError: there is no encoder, or it is a checkpoint, which is not exported.
+        UserError: there is no encoder, it or its field is damaged, or it is a checkpoint, which is not exported.
     """
     if is_checkpoint(source):
         raise UserError(f"{source} is a checkpoint; push its run folder, once pretrain has exported an encoder")
     run, description = read_description(source)
+    Encoder.load(run)  # so that nobody gets weights that nothing can be loaded from
     dataset = {"sha256": description["dataset"]["sha256"]} if "sha256" in description.get("dataset", {}) else None
     description = without_paths({**description, "dataset": dataset or {}})
     folder.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(run / WEIGHTS, folder / WEIGHTS)
     write_json(folder / DESCRIPTION, description)
     if (run / field_description.DESCRIPTION).is_file():
+        RadianceField.load(run)
         field = field_description.read_field_description(run)
         shutil.copyfile(run / field_description.WEIGHTS, folder / field_description.WEIGHTS)
         write_json(folder / field_description.DESCRIPTION, field)
@@ -47,9 +52,10 @@ def write_agent(run: Path, folder: Path, encoder: str = "") -> tuple[dict[str, A
         encoder: where its encoder is now, if it has moved.
 
     Raises:
-        UserError: there is no policy, or not its encoder.
+        UserError: there is no policy, it is damaged, or that is not its encoder.
     """
     description = check_policy(run, encoder)
+    Policy.load(run, encoder)
     where, eyes = description["env"]["encoder"], None
     if where is not None:
         eyes = write_encoder(where, folder / ENCODER_IN_AGENT)

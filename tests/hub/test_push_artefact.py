@@ -1,0 +1,79 @@
+"""What push looks at before it gives it away, and what it leaves as it is; encoders and agents that nobody trained."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nerf_rl import cli
+from nerf_rl.cameras import geometry as cameras
+from nerf_rl.pretrain.config import EncoderConfig, FieldConfig
+from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.pretrain.model.encoder_rig import EncoderRig
+from nerf_rl.pretrain.model.field import FieldBounds, RadianceField
+from nerf_rl.rl.agents.policy import Policy, make_actor
+from nerf_rl.rl.agents.policy_file import encoder_digest
+from nerf_rl.rl.config import NetworkConfig
+from nerf_rl.rl.environments.make import EnvSpec
+
+CAMERAS = ("/left", "~right", "top")
+CLASSES = ["background", "//unnamed_body_0", "walker/torso"]
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """The run folder of an encoder with a radiance field, whose scene names its parts as MJCF and dm_control may."""
+    poses = np.stack([cameras.look_at(np.array([0.0, 0.6, 0.1]), 0.9, 20.0 + 60 * i, -30.0) for i in range(3)])
+    intrinsics = np.stack([cameras.intrinsics_from_fovy(45.0, 8, 8)] * 3)
+    encoder = Encoder(EncoderConfig(latent=6, channels=[8], hidden=8), EncoderRig(CAMERAS, intrinsics, poses, 8, 8))
+    encoder.scene = "/home/user/scenes/arm.xml"
+    folder = tmp_path / "run"
+    folder.mkdir()
+    encoder.save(folder, {"classes": CLASSES, "palette": [[0, 0, 0]] * 3, "dataset": {"sha256": "0", "folder": "/d"}})
+    sizes = FieldConfig(width=8, layers=1, frequencies=1, plane_size=4, object_plane_size=0, plane_features=2)
+    RadianceField(sizes, FieldBounds(0.1, 3.0, (0.0, 0.0, 0.0), 1.0), 6, 3, 0).save(folder)
+    return folder
+
+
+def make_agent(folder: Path, encoder: Path) -> Path:
+    """Write the run folder of an agent that sees by an encoder, and observes a column beside its latent."""
+    network = NetworkConfig(hidden=[8, 8])
+    spec = EnvSpec("/home/user/scenes/arm.xml", str(encoder), 1, 10, observe=("/left/x",))
+    folder.mkdir()
+    Policy(make_actor(7, 2, network), spec, network, 7, 2, ["/left/x"], encoder_digest(encoder), 10).save(folder)
+    (folder / "summary.json").write_text('{"evaluations": []}')
+    return folder
+
+
+def push(run: Path, out: Path) -> int:
+    return cli.main(["push", str(run), "--out", str(out)])
+
+
+def cut_off(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-1])
+
+
+@pytest.mark.parametrize(
+    "file, damage, message",
+    [
+        ("encoder.safetensors", cut_off, "encoder.safetensors is not a file of weights: it is damaged"),
+        ("field.safetensors", cut_off, "field.safetensors is not a file of weights: it is damaged"),
+        ("field.safetensors", Path.unlink, "field.safetensors is not a file of weights: it does not exist"),
+        ("agent/policy.safetensors", cut_off, "policy.safetensors is not a file of weights: it is damaged"),
+    ],
+)
+def test_damaged_weights_are_not_given_away(
+    file: str,
+    damage: Callable[[Path], None],
+    message: str,
+    run: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+):
+    pushed = make_agent(run / "agent", run) if file.startswith("agent") else run
+    damage(run / file)
+    assert push(pushed, tmp_path / "out") == 2
+    told = capsys.readouterr().err
+    assert message in told and told.count("\n") == 1
+    assert not (tmp_path / "out").exists()
