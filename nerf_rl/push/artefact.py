@@ -19,6 +19,9 @@ from nerf_rl.pretrain.model.field import RadianceField
 from nerf_rl.rl.agents.policy import Policy
 from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION, POLICY_WEIGHTS, check_policy
 
+_NAMES = ("rig", "classes", "hardly_shown", "observe", "proprio_names")
+"""keys below which the scene's own names of cameras, bodies, classes and columns stand, which may begin with a slash"""
+
 
 def write_encoder(source: Path | str, folder: Path) -> dict[str, Any]:
     """Write an encoder's files, and those of its radiance field if it has one; return its description.
@@ -89,10 +92,11 @@ def write_summary(run: Path, folder: Path) -> dict[str, Any]:
 def without_paths(content: Any) -> Any:
     """Return JSON with each absolute path, wherever it stands, cut down to its last name.
 
-    A scene may be the path of an MJCF file, and tells of a user's folders then.
+    A scene may be the path of an MJCF file, and tells of a user's folders then. What a scene calls its parts is no
+    path, however it looks, and an encoder fits its scene by these names.
     """
     if isinstance(content, dict):
-        return {key: without_paths(value) for key, value in content.items()}
+        return {key: value if key in _NAMES else without_paths(value) for key, value in content.items()}
     if isinstance(content, list):
         return [without_paths(value) for value in content]
     if isinstance(content, str):

@@ -1,5 +1,6 @@
 """What push looks at before it gives it away, and what it leaves as it is; encoders and agents that nobody trained."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from nerf_rl import cli
 from nerf_rl.cameras import geometry as cameras
 from nerf_rl.pretrain.config import EncoderConfig, FieldConfig
 from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.pretrain.model.encoder_file import described_classes
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
 from nerf_rl.pretrain.model.field import FieldBounds, RadianceField
 from nerf_rl.rl.agents.policy import Policy, make_actor
@@ -77,3 +79,17 @@ def test_damaged_weights_are_not_given_away(
     told = capsys.readouterr().err
     assert message in told and told.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_names_that_look_like_paths_stay_and_paths_do_not(run: Path, tmp_path: Path):
+    (run / "summary.json").write_text(json.dumps({"hardly_shown": CLASSES, "device": "/dev/cuda"}))
+    agent, out = make_agent(tmp_path / "agent", run), tmp_path / "out"
+    assert push(run, out) == push(agent, tmp_path / "pushed") == 0
+    encoder = Encoder.load(out)
+    encoder.rig.require_same(Encoder.load(run).rig)
+    assert encoder.rig.names == CAMERAS and encoder.scene == "arm.xml"
+    assert described_classes(out)[0] == CLASSES
+    assert json.loads((out / "summary.json").read_text()) == {"hardly_shown": CLASSES, "device": "cuda"}
+    policy = Policy.load(tmp_path / "pushed")
+    assert policy.spec.observe == ("/left/x",) and policy.proprio_names == ["/left/x"]
+    assert policy.spec.scene == "arm.xml" and "/home" not in (tmp_path / "pushed" / "policy.json").read_text()
