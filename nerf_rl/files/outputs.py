@@ -1,8 +1,10 @@
 """Output folders: what may be written where, and the record of how each result was made."""
 
+import contextlib
 import dataclasses
 import shutil
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -80,16 +82,30 @@ def require_file_place(path: Path) -> None:
         raise UserError(f"{path} cannot be written, since it is a folder and no file; choose another name")
 
 
+@contextlib.contextmanager
+def making(path: Path) -> Iterator[None]:
+    """Tell in a sentence why the system does not let a folder be made, or a file be written.
+
+    Raises:
+        UserError: instead of the system's OSError, whether it is of permissions, of the file system or of the name.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise UserError(f"{path} cannot be written ({error.strerror or error}); choose another name") from error
+
+
 def prepare_output(
     folder: Path, overwrite: bool, resume: bool = False, can_resume: bool = False, command: str = ""
 ) -> None:
     """Create an output folder, or empty or keep an existing one, after :func:`check_output`, and hold it.
 
     Raises:
-        UserError: another process writes to it.
+        UserError: another process writes to it, or it cannot be made.
     """
     check_output(folder, overwrite, resume, can_resume, command)
-    folder.mkdir(parents=True, exist_ok=True)
+    with making(folder):
+        folder.mkdir(parents=True, exist_ok=True)
     hold_folder(folder)
     if _in_use(folder) and not (resume and can_resume):
         _empty(folder)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from nerf_rl.errors import MissingFileError, OutputExistsError, UserError
 from nerf_rl.files.atomic import write_text
-from nerf_rl.files.outputs import require_place
+from nerf_rl.files.outputs import making, require_place
 from nerf_rl.hub.commit import commit_folder
 from nerf_rl.machine.extras import import_extra
 from nerf_rl.pretrain.model.encoder_file import DESCRIPTION
@@ -89,7 +89,9 @@ def _folder(out: str) -> Iterator[Path]:
     folder = Path(out)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise OutputExistsError(folder, "use another --out, or delete it")
-    with tempfile.TemporaryDirectory(prefix=".partial-", dir=require_place(folder)) as beside:
+    with making(folder):
+        partial = tempfile.TemporaryDirectory(prefix=".partial-", dir=require_place(folder))
+    with partial as beside:
         yield Path(beside)
         folder.mkdir(parents=True, exist_ok=True)
         for path in Path(beside).iterdir():

@@ -12,7 +12,7 @@ from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import OutputExistsError
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json
-from nerf_rl.files.outputs import PROVENANCE, require_file_place
+from nerf_rl.files.outputs import PROVENANCE, making, require_file_place
 from nerf_rl.machine.threads import wait_passively
 from nerf_rl.pictures.page import Page
 from nerf_rl.pretrain.measures.figures import NETWORK, describe_error, describe_iou, describe_validation
@@ -67,8 +67,9 @@ def write_report(config: ReportConfig) -> None:
     page.heading("How it was made")
     for folder in sources.folders.values():
         page.preformatted(_made(folder))
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_text(out, page.render())
+    with making(out):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_text(out, page.render())
     print("\n".join([*lines, f"report: {out}"]))
 
 

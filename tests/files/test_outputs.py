@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from nerf_rl.errors import OutputExistsError
+from nerf_rl.errors import OutputExistsError, UserError
 from nerf_rl.files import outputs
 from nerf_rl.files.versions import processor
 
@@ -169,3 +169,9 @@ def test_a_folder_whose_provenance_is_damaged_or_anothers_is_not_resumed(content
     (tmp_path / outputs.PROVENANCE).write_text(content)
     with pytest.raises(OutputExistsError, match="already exists and is not empty; use --overwrite true or another"):
         outputs.prepare_output(tmp_path, overwrite=False, resume=True, command="pretrain")
+
+
+def test_a_folder_that_the_system_does_not_let_be_made_is_told_in_a_sentence(foreign: Path):
+    for folder in (Path("/proc/run"), foreign / "chapter.tex" / "run"):
+        with pytest.raises(UserError, match=rf"{folder} cannot be written \(.+\); choose another name"):
+            outputs.prepare_output(folder, overwrite=False)

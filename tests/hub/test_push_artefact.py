@@ -93,3 +93,9 @@ def test_names_that_look_like_paths_stay_and_paths_do_not(run: Path, tmp_path: P
     policy = Policy.load(tmp_path / "pushed")
     assert policy.spec.observe == ("/left/x",) and policy.proprio_names == ["/left/x"]
     assert policy.spec.scene == "arm.xml" and "/home" not in (tmp_path / "pushed" / "policy.json").read_text()
+
+
+def test_a_folder_that_cannot_be_made_is_told_in_a_sentence(run: Path, capsys: pytest.CaptureFixture[str]):
+    assert push(run, Path("/proc/nobody/makes")) == 2
+    told = capsys.readouterr().err
+    assert "/proc/nobody/makes cannot be written (" in told and told.count("\n") == 1
