@@ -118,7 +118,17 @@ class Encoder(nn.Module):
         return Encoding(latent, found)
 
     def encode(self, images: UInt8[Tensor, "B V H W 3"]) -> Float[Tensor, "B Z"]:
-        """Return z of what the rig's own cameras saw; the images may be on another device."""
+        """Return z of what the rig's own cameras saw; the images may be on another device.
+
+        Raises:
+            UserError: they are of another size or kind, or not one of each camera.
+        """
+        rig = self.rig
+        seen, shape = tuple(map(int, images.shape)), (len(rig.names), rig.height, rig.width, 3)
+        if seen[1:] != shape or images.dtype != torch.uint8:
+            kind = str(images.dtype).removeprefix("torch.")
+            told = f"{len(rig.names)} cameras, {rig.height} pixels high and {rig.width} wide"
+            raise UserError(f"the encoder takes uint8 [B, {', '.join(map(str, shape))}] ({told}), got {kind} {[*seen]}")
         device = self.latent_mean.device
         projections = torch.from_numpy(self.rig.projections).to(device)
         return self(images.to(device), projections.expand(len(images), -1, -1, -1))

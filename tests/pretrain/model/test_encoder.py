@@ -1,9 +1,11 @@
 """The encoder: what z depends on, and the artefact that holds it."""
 
+import inspect
 import json
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +51,24 @@ def test_the_order_of_views_does_not_matter():
 def test_encoding_takes_the_cameras_from_the_encoders_own_rig():
     encoder, (images, projections) = make_encoder(), inputs()
     torch.testing.assert_close(encoder.encode(images), encoder(images, projections), atol=0, rtol=0)
+
+
+@pytest.mark.parametrize(
+    "change, got",
+    [
+        (lambda images: images[:, :2], "uint8 [2, 2, 16, 16, 3]"),
+        (lambda images: images[:, :, :15], "uint8 [2, 3, 15, 16, 3]"),
+        (lambda images: images[:, :, :, :15], "uint8 [2, 3, 16, 15, 3]"),
+        (lambda images: images[0], "uint8 [3, 16, 16, 3]"),
+        (lambda images: images / 255.0, "float32 [2, 3, 16, 16, 3]"),
+    ],
+)
+def test_images_that_are_not_what_the_cameras_see_are_refused(change: Callable, got: str):
+    encode = inspect.unwrap(Encoder.encode)  # as it is outside of tests, where nothing checks annotations
+    with pytest.raises(UserError) as refused:
+        encode(make_encoder(), change(inputs()[0]))
+    told = "the encoder takes uint8 [B, 3, 16, 16, 3] (3 cameras, 16 pixels high and 16 wide), got"
+    assert str(refused.value) == f"{told} {got}"
 
 
 def test_it_matters_which_camera_an_image_came_from():
