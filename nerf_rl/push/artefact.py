@@ -11,7 +11,9 @@ from typing import Any
 from nerf_rl.errors import MissingFileError, UserError
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
+from nerf_rl.files.structure import mapping, number, optional, table
 from nerf_rl.hub.fetch import ENCODER_IN_AGENT
+from nerf_rl.pretrain.measures.figures import RMSE, UNITS
 from nerf_rl.pretrain.model import field_description
 from nerf_rl.pretrain.model.encoder import Encoder
 from nerf_rl.pretrain.model.encoder_file import DESCRIPTION, WEIGHTS, is_checkpoint, read_description
@@ -21,6 +23,22 @@ from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION, POLICY_WEIGHTS, ch
 
 _NAMES = ("rig", "classes", "hardly_shown", "observe", "proprio_names")
 """keys below which the scene's own names of cameras, bodies, classes and columns stand, which may begin with a slash"""
+
+_FIGURE = optional(number())
+_ERRORS = dict.fromkeys((f"{RMSE}_{unit}" for unit in UNITS), _FIGURE)
+_PROBED, _UNTRAINED = table(mapping({"r2": number()}, _ERRORS, others=True)), table(mapping({}, _ERRORS, others=True))
+_SUMMARY = mapping(
+    {},
+    {
+        "validation": optional(table(_FIGURE)),
+        "class_iou": optional(table(_FIGURE)),
+        "class_share": table(number()),
+        **dict.fromkeys(("probe", "joint_probe"), _PROBED),
+        **dict.fromkeys(("probe_random_encoder", "joint_probe_random_encoder"), _UNTRAINED),
+    },
+    others=True,
+)
+"""what a card tells of a summary; an agent's evaluations are checked where they are read"""
 
 
 def write_encoder(source: Path | str, folder: Path) -> dict[str, Any]:
@@ -80,10 +98,9 @@ def write_summary(run: Path, folder: Path) -> dict[str, Any]:
         return {}
     try:
         summary = read_json(path)
+        _SUMMARY(summary, "")
     except (OSError, ValueError) as error:
         raise MissingFileError("a summary", path, f"it is damaged ({error})", "let the run write it again") from error
-    if not isinstance(summary, dict):
-        raise MissingFileError("a summary", path, "it is no mapping", "let the run write it again")
     summary = without_paths(summary)
     write_json(folder / SUMMARY, summary)
     return summary

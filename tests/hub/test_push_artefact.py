@@ -95,6 +95,39 @@ def test_names_that_look_like_paths_stay_and_paths_do_not(run: Path, tmp_path: P
     assert policy.spec.scene == "arm.xml" and "/home" not in (tmp_path / "pushed" / "policy.json").read_text()
 
 
+@pytest.mark.parametrize(
+    "file, change, message",
+    [
+        ("encoder.json", {"dataset": None}, "dataset is None instead of a mapping"),
+        ("encoder.json", {"dataset": "sha256 x"}, "dataset is 'sha256 x' instead of a mapping"),
+        ("encoder.json", {"dataset": {"sha256": 7}}, "dataset.sha256 is 7 instead of a text"),
+        ("summary.json", {"validation": "y"}, "validation is 'y' instead of a mapping"),
+        ("summary.json", {"class_iou": {"a": "b"}}, "class_iou.a is 'b' instead of a number"),
+        ("summary.json", {"class_iou": {"a": 1}, "class_share": {"a": None}}, "class_share.a is None"),
+        ("summary.json", {"probe": {"x": {}}}, "probe.x is a mapping instead of one with r2"),
+        ("summary.json", {"joint_probe": {"x": {"r2": 1.0, "rmse_deg": "y"}}}, "joint_probe.x.rmse_deg is 'y'"),
+        ("summary.json", {"probe_random_encoder": []}, "probe_random_encoder is a list instead of a mapping"),
+    ],
+)
+def test_descriptions_that_no_card_can_tell_of_are_refused_in_a_sentence(
+    file: str, change: dict, message: str, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    path = run / file
+    path.write_text(json.dumps({**(json.loads(path.read_text()) if path.exists() else {}), **change}))
+    assert push(run, tmp_path / "out") == 2
+    told = capsys.readouterr().err
+    assert message in told and told.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_figures_that_could_not_be_measured_are_unknown(run: Path, tmp_path: Path):
+    summary = {"validation": {"psnr_db": 20.0, "miou": None}, "class_iou": {"robot": None}, "probe": {}}
+    (run / "summary.json").write_text(json.dumps(summary))
+    assert push(run, tmp_path / "out") == 0
+    card = (tmp_path / "out" / "README.md").read_text()
+    assert "| mean IoU of the classes | unknown |" in card and "| robot | unknown | unknown |" in card
+
+
 def test_a_folder_that_cannot_be_made_is_told_in_a_sentence(run: Path, capsys: pytest.CaptureFixture[str]):
     assert push(run, Path("/proc/nobody/makes")) == 2
     told = capsys.readouterr().err

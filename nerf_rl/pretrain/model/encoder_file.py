@@ -55,6 +55,7 @@ _STRUCTURE = mapping(
         "landmarks": whole(0, _MOST_LANDMARKS),
         "classes": listing(text(), 1),
         "palette": array(-1, 3, of=whole(0, 255)),
+        "dataset": mapping({}, {"sha256": text()}, others=True),
         "packages": table(text()),
         "renderer": text(),
     },
