@@ -40,6 +40,7 @@ from nerf_rl.pretrain.objectives.held_out_pictures import reconstruction_grid
 from nerf_rl.pretrain.objectives.picture_module import PictureModule
 from nerf_rl.pretrain.objectives.snerl_module import SnerlModule
 from nerf_rl.pretrain.resuming import require_resumable
+from nerf_rl.pretrain.reconstructions import FOLDER, picture_name
 from nerf_rl.progress import Progress
 
 _FRAMES_IN_GRID = 3
@@ -105,7 +106,7 @@ def fit(config: PretrainConfig, dataset: MultiViewDataset, folder: Path, checkpo
                 enable_version_counter=False,
             ),
             _ProgressLines(config.steps),
-            _Reconstructions(folder / "reconstructions"),
+            _Reconstructions(folder / FOLDER),
         ],
         check_val_every_n_epoch=config.epochs_per_validation,
         reload_dataloaders_every_n_epochs=1,
@@ -234,4 +235,4 @@ class _Reconstructions(Callback):
         frames = [frame for frame in trainer.val_dataloaders.dataset if frame != NO_FRAME]  # type: ignore[union-attr]
         picked = [int(frames[len(frames) * i // _FRAMES_IN_GRID]) for i in range(_FRAMES_IN_GRID)]
         grid = reconstruction_grid(module, picked)
-        cv2.imwrite(str(self._folder / f"step_{trainer.global_step:06d}.png"), grid[..., ::-1])
+        cv2.imwrite(str(self._folder / picture_name(trainer.global_step)), grid[..., ::-1])

@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 
 from nerf_rl.files.atomic import atomic_write
+from nerf_rl.pretrain.reconstructions import newest_reconstruction
 
 PICTURE = "picture.png"
 LARGEST = 300_000
@@ -19,8 +20,9 @@ def write_picture(run: Path, folder: Path) -> bool:
         run: a run folder: held-out frames of an encoder, or an agent's learning curve.
         folder: to write to.
     """
-    found = [*sorted(run.glob("reconstructions/step_*.png")), *run.glob("learning_curve.png")]
-    picture = cv2.imread(str(found[-1])) if found else None
+    curve = next(run.glob("learning_curve.png"), None)
+    found = curve or newest_reconstruction(run)
+    picture = None if found is None else cv2.imread(str(found))
     if picture is None:
         return False
     encoded = cv2.imencode(".png", picture)[1]

@@ -17,6 +17,7 @@ from nerf_rl.machine.threads import wait_passively
 from nerf_rl.pictures.page import Page
 from nerf_rl.pretrain.measures.figures import NETWORK, describe_error, describe_iou, describe_validation
 from nerf_rl.pretrain.model.encoder_file import described_classes, read_description
+from nerf_rl.pretrain.reconstructions import newest_reconstruction
 from nerf_rl.report.config import ReportConfig
 from nerf_rl.report.sources import FIELD, Sources, find_sources
 from nerf_rl.report.summaries import read_summary
@@ -111,13 +112,13 @@ def _add_dataset(page: Page, dataset: MultiViewDataset) -> None:
 
 def _add_encoder(page: Page, folder: Path, summary: dict[str, Any]) -> None:
     page.heading("Encoder")
-    pictures = sorted((folder / "reconstructions").glob("step_*.png"))
-    if pictures:
+    picture = newest_reconstruction(folder)
+    if picture is not None:
         caption = (
             "Held-out frames from the encoder's cameras: what they saw (upper row of each pair) and what the radiance "
             "field renders from the latent alone (lower row). Colours, labels, depth."
         )
-        page.image(pictures[-1].read_bytes(), caption)
+        page.image(picture.read_bytes(), caption)
     page.table(["class", "IoU"], [[name, describe_iou(iou)] for name, iou in summary["class_iou"].items()])
     page.paragraph(
         "What a linear map, and what a small network, reads from the latent on held-out episodes, as root mean squared "
