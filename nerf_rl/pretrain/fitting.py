@@ -16,6 +16,7 @@ from lightning.pytorch.loggers import CSVLogger
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.files.json_files import write_json
+from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.loggers import closed_at_end, make_lightning_loggers
 from nerf_rl.pretrain.config import FIELD, RANDOM, PretrainConfig
 from nerf_rl.pretrain.data.batches import drawn_frames
@@ -33,14 +34,14 @@ from nerf_rl.pretrain.execution.placement import (
 from nerf_rl.pretrain.measures.figures import describe_validation
 from nerf_rl.pretrain.measures.latent_statistics import measure_latents
 from nerf_rl.pretrain.measures.probing import ProbeResult, probe_encoder
-from nerf_rl.pretrain.model.encoder_file import CHECKPOINT
+from nerf_rl.pretrain.model.encoder_file import CHECKPOINT, DESCRIPTION
 from nerf_rl.pretrain.model.precision import lightning_precision, resolve_precision
 from nerf_rl.pretrain.objectives.encoder_module import EncoderModule
 from nerf_rl.pretrain.objectives.held_out_pictures import reconstruction_grid
 from nerf_rl.pretrain.objectives.picture_module import PictureModule
 from nerf_rl.pretrain.objectives.snerl_module import SnerlModule
-from nerf_rl.pretrain.resuming import require_resumable
 from nerf_rl.pretrain.reconstructions import FOLDER, picture_name
+from nerf_rl.pretrain.resuming import require_resumable
 from nerf_rl.progress import Progress
 
 _FRAMES_IN_GRID = 3
@@ -190,9 +191,11 @@ def _export(module: EncoderModule, dataset: MultiViewDataset, config: PretrainCo
         "probe": probe.encoder.columns,
         "joint_probe": probe.encoder.joints,
     }
-    encoder.save(folder, description)
+    for earlier in (SUMMARY, DESCRIPTION):  # a resumed run that is cut off here has none, rather than an older one's
+        (folder / earlier).unlink(missing_ok=True)
     if isinstance(module, SnerlModule):
         module.field.cpu().save(folder)
+    encoder.save(folder, description)
     return probe
 
 

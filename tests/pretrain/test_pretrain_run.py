@@ -158,6 +158,27 @@ def test_training_that_was_killed_resumes_to_the_same_bits(
         assert resumed[key] == uninterrupted[key]
 
 
+def test_an_export_that_was_cut_off_leaves_no_encoder_with_the_figures_of_an_earlier_one(
+    tiny_encoder: Path,
+    tiny_dataset: Path,
+    tiny_pretraining_recipe: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+):
+    def killed(self: RadianceField, folder: Path) -> None:
+        raise RuntimeError("killed")
+
+    out = tmp_path / "run"
+    shutil.copytree(tiny_encoder, out)
+    with monkeypatch.context() as patch:
+        patch.setattr(RadianceField, "save", killed)
+        assert pretrain(tiny_pretraining_recipe, tiny_dataset, out, "--resume", "true") == 1
+    assert not (out / "summary.json").exists() and not (out / DESCRIPTION).exists()
+    assert pretrain(tiny_pretraining_recipe, tiny_dataset, out, "--resume", "true") == 0
+    assert (out / WEIGHTS).read_bytes() == (tiny_encoder / WEIGHTS).read_bytes()
+    assert (out / "summary.json").exists() and (out / DESCRIPTION).exists()
+
+
 def test_an_interruption_keeps_the_checkpoint_and_exits_with_130(
     tiny_dataset: Path,
     tiny_pretraining_recipe: Path,
