@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float, UInt8
+from numpy import ndarray
 from torch import Tensor, nn
 
 from nerf_rl.errors import MissingFileError, UserError
@@ -117,21 +118,21 @@ class Encoder(nn.Module):
                 latent = latent + self.landmarks.latent(found)
         return Encoding(latent, found)
 
-    def encode(self, images: UInt8[Tensor, "B V H W 3"]) -> Float[Tensor, "B Z"]:
-        """Return z of what the rig's own cameras saw; the images may be on another device.
+    def encode(self, images: UInt8[Tensor, "B V H W 3"] | UInt8[ndarray, "B V H W 3"]) -> Float[Tensor, "B Z"]:
+        """Return z of what the rig's own cameras saw; the images may be NumPy's, or on another device.
 
         Raises:
             UserError: they are of another size or kind, or not one of each camera.
         """
-        rig = self.rig
-        seen, shape = tuple(map(int, images.shape)), (len(rig.names), rig.height, rig.width, 3)
-        if seen[1:] != shape or images.dtype != torch.uint8:
-            kind = str(images.dtype).removeprefix("torch.")
+        rig, pictures = self.rig, torch.as_tensor(images)
+        seen, shape = tuple(map(int, pictures.shape)), (len(rig.names), rig.height, rig.width, 3)
+        if seen[1:] != shape or pictures.dtype != torch.uint8:
+            kind = str(pictures.dtype).removeprefix("torch.")
             told = f"{len(rig.names)} cameras, {rig.height} pixels high and {rig.width} wide"
             raise UserError(f"the encoder takes uint8 [B, {', '.join(map(str, shape))}] ({told}), got {kind} {[*seen]}")
         device = self.latent_mean.device
         projections = torch.from_numpy(self.rig.projections).to(device)
-        return self(images.to(device), projections.expand(len(images), -1, -1, -1))
+        return self(pictures.to(device), projections.expand(len(pictures), -1, -1, -1))
 
     def standardise(self, latent: Float[Tensor, "B Z"]) -> Float[Tensor, "B Z"]:
         """Return latents with zero mean and unit deviation over the training data."""

@@ -51,6 +51,7 @@ def test_the_order_of_views_does_not_matter():
 def test_encoding_takes_the_cameras_from_the_encoders_own_rig():
     encoder, (images, projections) = make_encoder(), inputs()
     torch.testing.assert_close(encoder.encode(images), encoder(images, projections), atol=0, rtol=0)
+    torch.testing.assert_close(encoder.encode(images.numpy()), encoder.encode(images), atol=0, rtol=0)
 
 
 @pytest.mark.parametrize(
