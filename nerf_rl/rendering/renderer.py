@@ -292,6 +292,7 @@ class MultiViewRenderer:
             camera.pos = camera_position(camera_from_world)
             camera.forward = camera_from_world[2, :3]
             camera.up = -camera_from_world[1, :3]
+            camera.orthographic = 0  # the model may ask for it
             camera.frustum_center = 0.0
             camera.frustum_width = 0.0  # from the viewport's aspect
             camera.frustum_top, camera.frustum_bottom = self._near * tangent, -self._near * tangent
