@@ -95,6 +95,8 @@ class MultiViewRenderer:
         self._option.sitegroup[:] = 0
         self._camera, self._perturb = mujoco.MjvCamera(), mujoco.MjvPerturb()
         self._scene = mujoco.MjvScene(model, maxgeom=_most_scene_geoms(model))
+        led = model.body_mocapid[model.body_rootid[model.geom_bodyid]] >= 0  # by a mocap body, which may move
+        self._planes = (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & ~led
         self._scene_geoms = self._scene.geoms  # making this tuple takes longer than reading what is in it
         self._near = near_plane(model)
         self.far = float(model.vis.map.zfar * model.stat.extent)
@@ -274,17 +276,18 @@ class MultiViewRenderer:
     ) -> None:
         """Fill the scene with all but the hidden geoms, and set the camera.
 
-        Geoms are drawn in the scene's order, so planes come last: most of a floor is covered by what stands on it.
+        Geoms are drawn in the scene's order, so planes come last: most of a floor is covered by what stands on it. They
+        are put in as what stands still, since tendons, cloth and the like would come with them a second time.
         """
-        model, everything = self._model, mujoco.mjtCatBit.mjCAT_ALL.value
+        model, planes = self._model, self._planes & ~hidden
+        everything, still = mujoco.mjtCatBit.mjCAT_ALL.value, mujoco.mjtCatBit.mjCAT_STATIC.value
         groups = model.geom_group.copy()
-        planes = (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & ~hidden
         try:  # groups are how to leave geoms out of a scene; nothing else reads them meanwhile
             model.geom_group[hidden | planes] = _HIDDEN_GROUP
             mujoco.mjv_updateScene(model, data, self._option, None, self._camera, everything, self._scene)
             if planes.any():
                 model.geom_group[:] = np.where(planes, groups, _HIDDEN_GROUP)
-                mujoco.mjv_addGeoms(model, data, self._option, self._perturb, everything, self._scene)
+                mujoco.mjv_addGeoms(model, data, self._option, self._perturb, still, self._scene)
         finally:
             model.geom_group[:] = groups
         tangent = 0.5 * self._height / intrinsics[1, 1]
@@ -340,13 +343,10 @@ class _DrawnGeoms(NamedTuple):
 
 
 def _most_scene_geoms(model: mujoco.MjModel) -> int:
-    """Return how many geoms a scene may come to hold; MuJoCo leaves out what is too many, and planes are put in last.
-
-    All but the model's own are put in twice, since planes are put in by themselves (:meth:`_update_scene`).
-    """
+    """Return how many geoms a scene may come to hold; MuJoCo leaves out the last if they are more, planes above all."""
     tendons = 2 * model.nwrap + _HANGING_SEGMENTS * model.ntendon
     others = tendons + _CRANK_PARTS * model.nu + model.nsensordata + model.nflex + model.nskin
-    return int(model.ngeom + 1000 + 2 * others)
+    return int(model.ngeom + 1000 + others)
 
 
 def _upright(views: Shaped[ndarray, "V H W *C"]) -> Shaped[ndarray, "V H W *C"]:
