@@ -153,6 +153,17 @@ def can_travel(model: mujoco.MjModel, body: int) -> bool:
     return any(model.jnt_type[joint] in carrying and not model.jnt_limited[joint] for joint in joints)
 
 
+def soft_points(model: mujoco.MjModel) -> set[int]:
+    """Return the ids of the bodies that are each a point of cloth or of what else is soft, and carry nothing more.
+
+    Their joints are the material's: moved one by one, they tear it. A body that points are pinned to has others below
+    it, and what is called a flex and is rigid has all of its points on one body.
+    """
+    points = np.concatenate([model.flex_vertbodyid, model.flex_nodebodyid])
+    alone = np.flatnonzero(np.bincount(points[points >= 0], minlength=model.nbody) == 1)
+    return set(alone.tolist()) - set(model.geom_bodyid.tolist()) - set(model.body_parentid.tolist())
+
+
 class PlacedGeoms:
     """Finds what no joint moves and an environment puts elsewhere in each episode all the same, such as a target.
 

@@ -10,13 +10,14 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from nerf_rl.errors import MissingFileError, UserError
+from nerf_rl.scenes.body_parts import soft_points
 from nerf_rl.scenes.scattering import turned_around_vertical
 from nerf_rl.scenes.structured import StructuredScene
 from nerf_rl.scenes.workspace import fit_workspace
 
 _CONTROL_PERIOD = 0.05  # [s] between two actions
-_JOINT_SPREAD = 0.1  # at a reset, as a share of a joint's range, or [rad, m] without limits
-_PLACE_SPREAD = 0.15  # of free bodies in the plane at a reset, as a share of the workspace's radius
+_JOINT_SPREAD = 0.1  # at a reset, as a share of a joint's range, or at most [rad, m] without limits
+_PLACE_SPREAD = 0.15  # of what may go anywhere, at a reset, as a share of the workspace's radius
 
 
 class MjcfEnv(gymnasium.Env):
@@ -24,8 +25,8 @@ class MjcfEnv(gymnasium.Env):
 
     Actions in [-1, 1] are scaled to the actuators' control ranges (as they are, where there is none) and held for
     0.05 s. A reset starts from the keyframe ``home``, else from the first one, else from the model's reference, and
-    moves hinges and slides by up to a tenth of their range and free bodies in the plane, turned around the vertical.
-    The observation is [qpos, qvel].
+    moves hinges and slides by up to a tenth of their range and free bodies in the plane, turned around the vertical;
+    cloth and what else is soft stays. The observation is [qpos, qvel].
 
     Args:
         model: compiled.
@@ -40,6 +41,8 @@ class MjcfEnv(gymnasium.Env):
         self._key = _home(model)
         self._start()
         self._place_spread = _PLACE_SPREAD * fit_workspace(model, self.data).radius
+        soft = soft_points(model)
+        self._scattered = [joint for joint in range(model.njnt) if int(model.jnt_bodyid[joint]) not in soft]
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (model.nu,), np.float32)
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (model.nq + model.nv,), np.float64)
 
@@ -47,7 +50,7 @@ class MjcfEnv(gymnasium.Env):
         """Start an episode near the model's starting state."""
         super().reset(seed=seed)
         self._start()
-        for joint in range(self.model.njnt):
+        for joint in self._scattered:
             self._scatter(joint)
         mujoco.mj_forward(self.model, self.data)
         return self.observe(), {}
@@ -77,8 +80,12 @@ class MjcfEnv(gymnasium.Env):
             qpos[:2] += self.np_random.uniform(-self._place_spread, self._place_spread, 2)
             qpos[3:] = turned_around_vertical(qpos[3:], self.np_random)
         elif model.jnt_type[joint] in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-            low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.inf, np.inf)
-            spread = _JOINT_SPREAD * (high - low if model.jnt_limited[joint] else 1.0)
+            low, high, spread = -np.inf, np.inf, _JOINT_SPREAD
+            if model.jnt_limited[joint]:
+                low, high = model.jnt_range[joint]
+                spread = _JOINT_SPREAD * (high - low)
+            elif model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
+                spread = min(spread, self._place_spread)
             self.data.qpos[place] = np.clip(self.data.qpos[place] + self.np_random.uniform(-spread, spread), low, high)
 
 

@@ -6,7 +6,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from nerf_rl.scenes.base import Scene
-from nerf_rl.scenes.body_parts import chain
+from nerf_rl.scenes.body_parts import chain, soft_points
 
 _TRIES = 20
 _DEEPEST = 2e-3  # into anything else, that a place is free [m]; what lies on a table is in it by less
@@ -21,7 +21,7 @@ class Scattering:
 
     A reset puts a ball here and a closed door there, and what a few episodes of a hundred do to them is all that is
     ever seen of other places. A free body lies as it does after a reset, turned around the vertical, or, as often, is
-    turned anyhow and falls from a little above; one that a reset has put far away stays there.
+    turned anyhow and falls from a little above; one that a reset has put far away stays there, and cloth where it is.
 
     Args:
         scene: whose things they are; it may be reset.
@@ -29,8 +29,9 @@ class Scattering:
 
     def __init__(self, scene: Scene):
         self._scene, model = scene, scene.model
-        robot = set(scene.parts.robot)
-        self._joints = [j for j in range(model.njnt) if int(model.body_rootid[model.jnt_bodyid[j]]) not in robot]
+        robot, soft = set(scene.parts.robot), soft_points(model)
+        bodies = [int(body) for body in model.jnt_bodyid]
+        self._joints = [j for j, b in enumerate(bodies) if int(model.body_rootid[b]) not in robot and b not in soft]
         movers = {int(model.jnt_bodyid[joint]) for joint in self._joints}
         moved = [bool(movers & set(chain(model, body))) for body in range(model.nbody)]
         self._is_thing = np.array([moved[body] for body in model.geom_bodyid], bool)

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from nerf_rl.scenes.body_parts import BodyParts, can_travel, chain, placed_name, short_name
+from nerf_rl.scenes.body_parts import BodyParts, can_travel, chain, placed_name, short_name, soft_points
 
 _SCALAR_JOINTS = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
 
@@ -16,6 +16,7 @@ class StateColumns:
     The first are position [rad or m] and velocity [rad/s or m/s] of each hinge and slide of the robot's, after the
     joints' names. The second are the positions [m] of the robot's root if it travels, of its grippers, of every other
     body that moves by a joint of its own, and of what an environment places anew in each episode, after their names.
+    The points of cloth and of what else is soft are in neither.
 
     Args:
         model: of the scene.
@@ -23,16 +24,17 @@ class StateColumns:
     """
 
     def __init__(self, model: mujoco.MjModel, parts: BodyParts):
+        soft = soft_points(model)
         joints = [
             joint
-            for joint in range(model.njnt)
-            if model.jnt_type[joint] in _SCALAR_JOINTS and model.body_rootid[model.jnt_bodyid[joint]] in parts.robot
+            for joint, body in enumerate(model.jnt_bodyid.tolist())
+            if model.jnt_type[joint] in _SCALAR_JOINTS and model.body_rootid[body] in parts.robot and body not in soft
         ]
         self._qpos, self._qvel = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
         names = [model.joint(joint).name or f"joint_{joint}" for joint in joints]
         self.proprio_names = (*names, *(f"{name}_velocity" for name in names))
 
-        moved = {int(model.jnt_bodyid[joint]) for joint in range(model.njnt)}
+        moved = {int(body) for body in model.jnt_bodyid} - soft
         roots = [root for root in parts.robot if can_travel(model, root)]
         objects = [body for body in sorted(moved) if not set(chain(model, body)) & set(parts.robot)]
         self._bodies = list(dict.fromkeys([*roots, *parts.gripper, *objects]))

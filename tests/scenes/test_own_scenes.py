@@ -118,6 +118,21 @@ def test_resets_of_a_model_scatter_what_is_free_and_stay_within_limits():
     np.testing.assert_allclose(np.linalg.norm(quaternions, axis=1), 1.0)
 
 
+@pytest.mark.parametrize("size, least, most", [(1.0, 0.09, 0.1), (0.001, 0.0001, 0.001)])
+def test_slides_without_limits_stay_near_where_all_is_small(size: float, least: float, most: float, tmp_path: Path):
+    path = tmp_path / "slide.xml"
+    path.write_text(
+        f"""<mujoco><worldbody><body pos="{2 * size} 0 0"><freejoint/><geom size="{size}"/></body>
+        <body><joint name="slide" type="slide"/><geom size="{size}"/></body></worldbody></mujoco>"""
+    )
+    scene = make_scene(str(path))
+    places = []
+    for seed in range(20):
+        scene.env.reset(seed=seed)
+        places.append(abs(scene.data.joint("slide").qpos[0]))
+    assert least < max(places) <= most
+
+
 def test_actions_span_the_control_ranges():
     scene = make_scene(BLOCKS)
     scene.env.reset(seed=0)
