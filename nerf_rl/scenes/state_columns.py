@@ -1,5 +1,7 @@
 """Named columns of a state for models of which nothing but their structure is known."""
 
+from collections import Counter
+
 import mujoco
 import numpy as np
 from jaxtyping import Float
@@ -38,7 +40,7 @@ class StateColumns:
         roots = [root for root in parts.robot if can_travel(model, root)]
         objects = [body for body in sorted(moved) if not set(chain(model, body)) & set(parts.robot)]
         self._bodies = list(dict.fromkeys([*roots, *parts.gripper, *objects]))
-        labels = [short_name(model.body(body).name) or f"body_{body}" for body in self._bodies]
+        labels = _short_names([model.body(body).name or f"body_{body}" for body in self._bodies])
         placed: dict[str, int] = {}  # the first geom of each thing
         for geom in parts.placed:
             placed.setdefault(placed_name(model, geom), geom)
@@ -53,6 +55,13 @@ class StateColumns:
     def privileged(self, data: mujoco.MjData) -> Float[ndarray, "Q"]:
         """Return the values of ``privileged_names``; positions must be propagated."""
         return np.concatenate([data.xpos[self._bodies].ravel(), data.geom_xpos[self._placed].ravel()])
+
+
+def _short_names(names: list[str]) -> list[str]:
+    """Return the names of bodies, shortened unless another one of them would then be called the same."""
+    short = [short_name(name) or name for name in names]
+    used = Counter([*short, *(name for name, shorter in zip(names, short, strict=True) if name != shorter)])
+    return [shorter if used[shorter] == 1 else name for name, shorter in zip(names, short, strict=True)]
 
 
 def joints(model: mujoco.MjModel) -> list[dict[str, str]]:

@@ -14,8 +14,9 @@ from nerf_rl.datasets.storage.stored_manifest import JOINT_NUMBERS
 from nerf_rl.errors import UserError
 from nerf_rl.files.json_files import read_json
 from nerf_rl.scenes.base import Scene, model_digest
+from nerf_rl.scenes.body_parts import BodyParts
 from nerf_rl.scenes.make import make_scene
-from nerf_rl.scenes.state_columns import joints
+from nerf_rl.scenes.state_columns import StateColumns, joints
 
 BLOCKS = "datasets/scenes/blocks.xml"
 SCENES = (BLOCKS, "gym/Ant-v5", "gym/Pusher-v5", "gym/InvertedPendulum-v5")
@@ -93,6 +94,14 @@ def test_columns_are_named_after_joints_and_bodies_and_hold_their_values():
     np.testing.assert_allclose(block, scene.data.joint(7).qpos[:3], atol=1e-12)
     assert {"hand_x", "red_block_x", "blue_block_z"} <= set(privileged)
     assert not any(name.startswith(("table", "shelf", "arm")) for name in privileged)
+
+
+def test_bodies_whose_names_differ_by_their_ends_alone_have_columns_of_their_own():
+    names = ("cube", "cube_link", "cube_link_link", "lid_link", "")
+    bodies = "".join(f'<body name="{name}"><freejoint/><geom size="0.1"/></body>' for name in names)
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    found = StateColumns(model, BodyParts()).privileged_names
+    assert found[::3] == ("cube_x", "cube_link_x", "cube_link_link_x", "lid_x", "body_5_x")
 
 
 def test_a_robot_that_travels_has_its_root_among_the_privileged_columns():
