@@ -261,6 +261,28 @@ def test_cameras_get_the_roles_that_are_asked_for(scenes: Path, tmp_path: Path):
     assert roles == {"left": "encoder", "top": "encoder", "right": "test", "random_0": "supervision"}
 
 
+def test_frames_of_an_episode_are_in_their_order_though_an_environment_ended_within_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    write_capture(tmp_path / "capture", moments=4)
+    descriptions = sorted((tmp_path / "capture").glob("*/transforms.json"))
+
+    def say(frames: tuple[int, ...]) -> None:
+        for description, frame in zip(descriptions, frames, strict=True):
+            content = json.loads(description.read_text())
+            content["source"] = {"dataset": "x", "episode": 5, "frame": frame, "step": (0, 7, 0, 3)[frame]}
+            description.write_text(json.dumps(content))
+
+    unordered = read(tmp_path / "capture", tmp_path / "unordered").read("rgb")
+    say((2, 0, 3, 1))
+    ordered = read(tmp_path / "capture", tmp_path / "ordered")
+    assert ordered.read("step").tolist() == [0, 7, 0, 3] and set(ordered.read("episode")) == {0}
+    np.testing.assert_array_equal(ordered.read("rgb"), unordered[[1, 3, 0, 2]])
+    say((2, 0, 2, 1))
+    assert cli.main(["import", str(tmp_path / "capture"), "--out", str(tmp_path / "twice")]) == 2
+    assert "moment_2/transforms.json cannot be imported: it is of the same moment as " in capsys.readouterr().err
+
+
 def test_one_scene_is_a_source_too(scenes: Path, tmp_path: Path):
     assert len(read(scenes / "frame_000004", tmp_path / "out")) == 1
 

@@ -126,21 +126,27 @@ class ScenesSource(Source):
 def _in_episodes(scenes: list[Scene]) -> list[list[Scene]]:
     """Return the scenes of each episode, in order.
 
-    Scenes that were exported from one dataset say of which episode and step they are; others are one each.
+    Scenes that were exported from one dataset say of which episode and frame they are; others are one each. Steps tell
+    no order, since an environment that ends within an episode counts them anew.
 
     Raises:
-        SourceError: two scenes are of one step.
+        SourceError: two scenes are of one frame.
     """
     known = all("episode" in scene.source and "step" in scene.source for scene in scenes)
     if not known or len({scene.source.get("dataset") for scene in scenes}) > 1:
         return [[scene] for scene in scenes]
     episodes: dict[int, list[Scene]] = {}
-    for scene in sorted(scenes, key=lambda scene: (scene.source["episode"], scene.source["step"])):
+    for scene in sorted(scenes, key=_moment):
         group = episodes.setdefault(scene.source["episode"], [])
-        if group and group[-1].source["step"] == scene.source["step"]:
-            raise SourceError(scene.path, f"it is of the same episode and step as {group[-1].path}")
+        if group and _moment(group[-1]) == _moment(scene):
+            raise SourceError(scene.path, f"it is of the same moment as {group[-1].path}")
         group.append(scene)
     return list(episodes.values())
+
+
+def _moment(scene: Scene) -> tuple[int, int]:
+    """Return the episode of a scene and what orders it within: its frame or, where that is not known, its step."""
+    return scene.source["episode"], scene.source.get("frame", scene.source["step"])
 
 
 def _split(scenes: list[Scene]) -> str | None:

@@ -51,7 +51,11 @@ _STRUCTURE = mapping(
         "semantic_classes": listing(mapping({"name": text(), "colour": _COLOUR}), 1, MOST_CLASSES),
         "source": mapping(
             {},
-            {"episode": whole(0, MOST), "step": whole(0, MOST), "split": one_of(*SPLIT_NAMES), "dataset": text()},
+            {
+                **dict.fromkeys(("frame", "episode", "step"), whole(0, MOST)),
+                "split": one_of(*SPLIT_NAMES),
+                "dataset": text(),
+            },
             others=True,
         ),
     },
@@ -93,7 +97,7 @@ class Scene:
     """by name"""
     classes: list[dict[str, Any]] | None
     source: Mapping[str, Any]
-    """``episode``, ``step``, ``split`` and ``dataset`` of the frame that was exported, as far as they are known"""
+    """``frame``, ``episode``, ``step``, ``split`` and ``dataset`` of what was exported, as far as they are known"""
 
 
 def read_scene(folder: Path, scale: float) -> Scene:
