@@ -4,6 +4,8 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
+from jaxtyping import Float32
+from numpy import ndarray
 
 from nerf_rl.datasets.export.seen import Seen
 from nerf_rl.datasets.storage.point_cloud import unproject
@@ -12,7 +14,8 @@ from nerf_rl.files.atomic import atomic_write
 from nerf_rl.machine.extras import import_extra
 
 _BLOCK, _FIRST_BLOCKS = 16, 1000  # voxels along an edge of a block, and blocks to begin with
-_TRUNCATION_VOXELS = 8.0
+_LEAST_TRUNCATION, _MOST_TRUNCATION = 2.0, 8.0  # voxels
+_TRUNCATION_PIXELS = 2.0  # what they cover: with less, surfaces that are seen aslant have holes
 _LEAST_WEIGHT = 0.5  # of a voxel that counts: one view is enough
 _DEPTH_UNIT = 1.0  # [m]
 _FARTHEST = 1000.0  # [m]; depth is limited beforehand
@@ -53,18 +56,30 @@ def write_mesh(path: Path, seen: Seen, voxel: float) -> None:
         ("tsdf", "weight", "color"), (single,) * 3, ((1,), (1,), (3,)), voxel, _BLOCK, _FIRST_BLOCKS
     )
     frame, depth = seen.frame, seen.depth()
+    truncation = _truncation(seen, depth, voxel)
     for view in np.flatnonzero(depth.any(axis=(1, 2))):
         image = open3d.t.geometry.Image(tensor(np.ascontiguousarray(depth[view][..., None])))
         colours = open3d.t.geometry.Image(tensor(frame.rgb[view].astype(np.float32) / 255))
         matrices = frame.intrinsics[view], frame.camera_from_world[view]
         # of a depth image, Open3D would look at every fourth pixel of every fourth row for blocks that it touches
         points = unproject(depth[view], *matrices)[depth[view] > 0].astype(np.float32)
-        blocks = grid.compute_unique_block_coordinates(open3d.t.geometry.PointCloud(tensor(points)), _TRUNCATION_VOXELS)
+        blocks = grid.compute_unique_block_coordinates(open3d.t.geometry.PointCloud(tensor(points)), truncation)
         camera = [tensor(matrix.tolist()) for matrix in matrices]
-        grid.integrate(blocks, image, colours, *camera, _DEPTH_UNIT, _FARTHEST, _TRUNCATION_VOXELS)
+        grid.integrate(blocks, image, colours, *camera, _DEPTH_UNIT, _FARTHEST, truncation)
     mesh = grid.extract_triangle_mesh(_LEAST_WEIGHT) if depth.any() else None
     if mesh is None or len(mesh.triangle.indices) == 0:
         raise UserError(f"frame {frame.index} shows no surface to fuse; raise --reach or --exclude fewer classes")
     with atomic_write(path) as aside:
         if not open3d.io.write_triangle_mesh(str(aside), mesh.to_legacy()):
             raise OSError(f"{path} could not be written")
+
+
+def _truncation(seen: Seen, depth: Float32[ndarray, "V H W"], voxel: float) -> float:
+    """Return how far behind a surface the field is known [voxels].
+
+    What is thinner gets thicker by it, since those views that look at its other side find themselves behind it: no more
+    than the voxels or the pixels, in the middle of what is seen, ask for.
+    """
+    pixels = depth / seen.frame.intrinsics[:, :1, :1].astype(np.float32)
+    covered = np.median(pixels[depth > 0]) if depth.any() else 0.0
+    return float(np.clip(_TRUNCATION_PIXELS * covered / voxel, _LEAST_TRUNCATION, _MOST_TRUNCATION))

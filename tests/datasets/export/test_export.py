@@ -10,7 +10,10 @@ import pytest
 import trimesh
 
 from nerf_rl import cli
-from nerf_rl.cameras.geometry import camera_position, pixel_centres, pixel_directions
+from nerf_rl.cameras.geometry import camera_position, look_from, pixel_centres, pixel_directions
+from nerf_rl.datasets.export.mesh import write_mesh
+from nerf_rl.datasets.export.seen import Seen
+from nerf_rl.datasets.storage.frames import Frame
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import UserError
 
@@ -132,6 +135,36 @@ def test_a_mesh_has_what_every_pixel_shows_however_fine_its_voxels(
     scene = open3d.t.geometry.RaycastingScene()
     scene.add_triangles(open3d.t.geometry.TriangleMesh.from_legacy(open3d.io.read_triangle_mesh(str(path))))
     assert (scene.compute_distance(points).numpy() < 0.02).mean() > 0.9
+
+
+def ball_on_a_floor(radius: float, size: int = 96) -> Frame:
+    """Return what eight cameras see of a ball at the origin (class 1) on a floor (class 0)."""
+    corners = np.stack(np.meshgrid([-0.4, 0.4], [-0.4, 0.4], [0.1, 0.5]), -1).reshape(-1, 3)
+    poses = np.stack([look_from(eye, np.zeros(3)) for eye in corners])
+    K = np.array([[size, 0, size / 2], [0, size, size / 2], [0, 0, 1]])
+    depth, label = np.empty((2, len(poses), size * size))
+    for view, (eye, pose) in enumerate(zip(corners, poses, strict=True)):
+        way = pixel_directions(K, pose, pixel_centres(size, size))  # as far as a metre of depth
+        a, b, c = (way**2).sum(1), way @ eye, eye @ eye - radius**2
+        under = b**2 - a * c
+        ball = np.where(under > 0, (-b - np.sqrt(np.maximum(under, 0))) / a, 9.0)
+        floor = np.where(way[:, 2] < 0, (-radius - eye[2]) / np.minimum(way[:, 2], -1e-9), 9.0)
+        depth[view], label[view] = np.minimum(np.minimum(ball, floor), 9.0), ball < floor
+    shape = len(poses), size, size
+    return Frame(
+        0, 0, 0, "train", False, np.full((*shape, 3), 99, np.uint8), label.reshape(shape).astype(np.uint8),
+        depth.reshape(shape).astype(np.float32), np.stack([K] * len(poses)), poses, 9.0, {}, np.zeros(3),
+    )  # fmt: skip
+
+
+@needs_open3d
+@pytest.mark.parametrize("classes", [(0, 1), (1,)])
+def test_a_mesh_of_a_small_thing_is_as_large_as_the_thing(tmp_path: Path, classes: tuple[int, ...]):
+    write_mesh(tmp_path / "ball.ply", Seen(ball_on_a_floor(0.04), 1.0, classes), 0.01)
+    vertices = trimesh.load(tmp_path / "ball.ply").vertices
+    outside = np.linalg.norm(vertices[vertices[:, 2] > -0.02], axis=1) - 0.04
+    outside = outside[outside < 0.1]  # the floor beside
+    assert abs(outside.mean()) < 0.002 and np.quantile(np.abs(outside), 0.95) < 0.006
 
 
 @needs_open3d
