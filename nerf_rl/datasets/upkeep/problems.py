@@ -80,7 +80,7 @@ def shard_problems(folder: Path, manifest: dict[str, Any]) -> Iterator[Problem]:
 
 def _shard_fault(path: Path, entry: dict[str, Any], manifest: dict[str, Any]) -> str | None:
     if not path.is_file():
-        return "it is missing"
+        return "it is a folder" if path.is_dir() else "it is missing"
     if sha256_of(path) != entry.get("sha256"):
         return "its content has changed since it was made"
     cameras = [camera["name"] for camera in manifest["cameras"]]

@@ -38,7 +38,7 @@ def repair(folder: Path, problems: Iterable[Problem], workers: int) -> None:
 
     Raises:
         FailureError: a shard came out otherwise than recorded.
-        UserError: nothing whole is left to tell what the dataset was.
+        UserError: nothing whole is left to tell what the dataset was, or something else has a shard's name.
     """
     files = dict.fromkeys(problem.file for problem in problems)
     try:
@@ -107,7 +107,12 @@ def _rebuild_manifest(folder: Path, workers: int) -> None:
 
 
 def _render(folder: Path, config: GenDatasetConfig, shards: Collection[int], plan: Plan) -> list[FinishedShard]:
-    """Render shards in a folder beside the dataset's own ones."""
+    """Render shards in a folder beside the dataset's own ones, once there is place for them.
+
+    Raises:
+        UserError: something else has the name of a shard or of their folder.
+    """
+    _make_place(folder, shards)
     aside = folder / _ASIDE
     shutil.rmtree(aside, ignore_errors=True)
     context = open_render_context(config)
@@ -124,6 +129,16 @@ def _render(folder: Path, config: GenDatasetConfig, shards: Collection[int], pla
                 rendered.append(shard)
                 progress.advance()
     return rendered
+
+
+def _make_place(folder: Path, shards: Iterable[int]) -> None:
+    try:
+        (folder / SHARDS).mkdir(exist_ok=True)
+    except FileExistsError as error:
+        raise UserError(f"{folder / SHARDS} is no folder, and shards belong there; move it away") from error
+    for path in (shard_path(folder, shard) for shard in shards):
+        if path.is_dir():
+            raise UserError(f"{path} is a folder, and a shard belongs there; move it away")
 
 
 def _config(folder: Path, content: dict[str, Any], workers: int) -> GenDatasetConfig:

@@ -11,6 +11,7 @@ import pytest
 from nerf_rl import cli
 from nerf_rl.datasets.generation.unfinished import OutputRecord
 from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS, read_manifest, sha256_of
+from nerf_rl.datasets.upkeep import repair
 from nerf_rl.files.checksummed_json import write_checksummed
 from nerf_rl.files.json_files import read_json
 
@@ -128,6 +129,30 @@ def test_repairing_brings_the_same_bytes_back_and_says_what_it_cannot_mend(
         assert (folder / file).read_bytes() == (tiny_dataset / file).read_bytes()
     assert (folder / FIRST).stat().st_mtime_ns == kept
     assert {path.name for path in folder.iterdir()} == {path.name for path in tiny_dataset.iterdir()}
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_shards_come_back_though_their_folder_is_gone(folder: Path, tiny_dataset: Path, check: Checked, whole: bool):
+    shutil.rmtree(folder / SHARDS)
+    if not whole:
+        flip(folder / MANIFEST, 100)
+    assert check("--repair", "true", "--workers", "1")[0] == 0
+    for file in (FIRST, SECOND, MANIFEST):
+        assert (folder / file).read_bytes() == (tiny_dataset / file).read_bytes()
+
+
+def test_what_has_the_name_of_a_shard_or_of_their_folder_is_told_before_anything_is_rendered(
+    folder: Path, check: Checked, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(repair, "render_shards", None)
+    (folder / SECOND).unlink()
+    (folder / SECOND).mkdir()
+    code, shown, message = check("--repair", "true")
+    assert code == 2 and f"{SECOND}: it is a folder" in shown and f"{SECOND} is a folder, and a shard" in message
+    shutil.rmtree(folder / SHARDS)
+    (folder / SHARDS).write_text("")
+    code, _, message = check("--repair", "true")
+    assert code == 2 and f"{SHARDS} is no folder, and shards belong there; move it away" in message
 
 
 def test_a_shard_that_comes_out_otherwise_is_left_as_it_was(folder: Path, check: Checked):
