@@ -11,6 +11,7 @@ from nerf_rl.datasets.storage.plan import Plan, plan_digest
 from nerf_rl.datasets.storage.shards import sha256_of, shard_file, shard_path
 
 _PLAN, _SCENE, _RENDERER = "plan", "scene", "renderer"  # attributes of a shard's file
+_AND = " and "  # between the renderers that a manifest names
 
 
 class FinishedShard(NamedTuple):
@@ -76,7 +77,12 @@ def with_shards(
     entries = sorted(shards, key=lambda entry: entry["file"])
     return {
         **description,
-        "renderer": " and ".join(sorted(set(renderers))),
+        "renderer": _AND.join(sorted(set(renderers))),
         "frames": sum(entry["frames"] for entry in entries),
         "shards": entries,
     }
+
+
+def renderers_in(named: str) -> list[str]:
+    """Return the OpenGL implementations that a manifest's ``renderer`` names; none of one without shards."""
+    return [name for name in named.split(_AND) if name]

@@ -7,6 +7,7 @@ from typing import Any
 
 from nerf_rl.datasets.storage.blind_cameras import warn_of_blind_cameras
 from nerf_rl.datasets.storage.disk import explain_full_disk, require_space
+from nerf_rl.datasets.storage.finished_shards import renderers_in, with_shards
 from nerf_rl.datasets.storage.plan import PLAN, begun_plan, same_content
 from nerf_rl.datasets.storage.shards import MANIFEST, PARTS, SHARDS, sha256_of, shard_file
 from nerf_rl.datasets.upkeep.merge_config import MergeConfig
@@ -53,10 +54,9 @@ def merge(config: MergeConfig) -> None:
         for part in parts:
             if not (out / PARTS / part.name).exists():
                 shutil.copytree(part, out / PARTS / part.name)
-        renderers = [manifest["renderer"] for manifest in manifests.values()]
-        manifest = {**description, "renderer": " and ".join(sorted(set(renderers)))}
-        manifest["frames"] = sum(entry["frames"] for _, entry in sources)
-        manifest["shards"] = [entry for _, entry in sources]
+        named = [manifest["renderer"] for manifest in manifests.values()]
+        renderers = {name for names in named for name in renderers_in(names)}  # several in one; none in an empty part
+        manifest = with_shards(description, (entry for _, entry in sources), renderers)
         write_checksummed(out / MANIFEST, manifest)
         views = manifest["frames"] * len(manifest["cameras"])
         summaries = [read_json(part / SUMMARY) for part in parts]

@@ -57,6 +57,23 @@ def test_parts_from_several_folders_are_copied_and_kept(apart: tuple[Path, Path]
     assert [path.read_bytes() for folder in apart for path in folder.rglob("*") if path.is_file()] == before
 
 
+def test_renderers_are_each_named_once_whatever_their_parts_name(
+    apart: tuple[Path, Path], tiny_dataset: Path, tmp_path: Path
+):
+    """A part that got no shard names none, and a part that was made by several names them together."""
+    first, second = (next((folder / PARTS).iterdir()) for folder in apart)
+    manifest = read_json(first / MANIFEST)
+    own = manifest["renderer"]
+    shutil.copytree(first, first.parent / "3-of-3")
+    write_checksummed(first.parent / "3-of-3" / MANIFEST, {**manifest, "renderer": "", "frames": 0, "shards": []})
+    command = ["merge", *map(str, apart), "--overwrite", "true", "--out", str(tmp_path / "all")]
+    assert cli.main(command) == 0
+    assert content(tmp_path / "all") == content(tiny_dataset)
+    write_checksummed(second / MANIFEST, {**read_json(second / MANIFEST), "renderer": f"another card and {own}"})
+    assert cli.main(command) == 0
+    assert read_json(tmp_path / "all" / MANIFEST)["renderer"] == " and ".join(sorted(["another card", own]))
+
+
 def test_an_interrupted_merge_goes_on(apart: tuple[Path, Path], tiny_dataset: Path, tmp_path: Path):
     out = tmp_path / "all"
     arguments = ["merge", *map(str, apart), "--out", str(out)]
