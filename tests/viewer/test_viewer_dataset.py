@@ -11,8 +11,11 @@ from nerf_rl.datasets.storage.frames import EpisodeColumns, named_points, read_c
 from nerf_rl.datasets.storage.point_cloud import fuse_views, unproject
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.viewer.drawing.charts import columns_chart, statistics_charts
+from nerf_rl.viewer.drawing.lines import as_lines
 from nerf_rl.viewer.drawing.pictures import camera_strip, depth_limits, depth_scale, heat, legend
 from nerf_rl.viewer.drawing.statistics import sample_statistics
+from nerf_rl.viewer.panels.columns_panel import ColumnsPanel
+from nerf_rl.viewer.server import serve
 from nerf_rl.viewer.timeline import Timeline
 
 
@@ -112,7 +115,7 @@ def test_charts_are_not_blank(dataset: MultiViewDataset) -> None:
     assert np.array_equal(columns.columns["reward"], dataset.read("reward", [0, 1, 2]))
     charts = statistics_charts(sample_statistics(dataset), dataset.palette)
     assert len(charts) == 2  # where episodes begin, shares of classes
-    for chart in (*charts, columns_chart(columns, 2.0)):
+    for chart in (*charts, columns_chart(columns)):
         assert chart.ndim == 3 and chart.std() > 10
 
 
@@ -123,3 +126,21 @@ def test_a_dataset_without_a_state_has_a_chart_of_what_there_is() -> None:
     is_line = np.abs(chart - (31, 119, 180)).max(-1) < 8  # Matplotlib's first colour
     left, right = np.array_split(is_line, 2, axis=1)
     assert left.sum() > 100 and right.sum() > 100
+
+
+def test_lines_go_on_after_a_reset_within_an_episode_with_a_gap() -> None:
+    steps, (line,) = as_lines(np.array([23.0, 28.0, 8.0, 9.0, 0.0]), [np.arange(5.0)])
+    assert steps.tolist() == [23, 28, 36.5, 37, 38, 38.5, 39]  # ascending, the resets one step after the frames before
+    assert np.array_equal(line, [0, 1, np.nan, 2, 3, np.nan, 4], equal_nan=True)
+    unbroken, (line,) = as_lines(np.array([0.0, 3.0]), [np.arange(2.0)])
+    assert unbroken.tolist() == [0, 3] and line.tolist() == [0, 1]
+
+
+def test_the_episodes_plot_ascends_and_marks_one_frame() -> None:
+    columns = EpisodeColumns(np.array([8.0, 28.0, 8.0]), {"hand_x": np.array([1.0, 2.0, 3.0])})
+    with serve("127.0.0.1", 0, "test") as server:
+        panel = ColumnsPanel(server.gui, list(columns.columns))
+        panel.show(columns, 2)
+        steps, _, now = panel._plot.data
+    assert (np.diff(steps) > 0).all()
+    assert now[~np.isnan(now)].tolist() == [3.0]

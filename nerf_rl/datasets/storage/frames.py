@@ -50,7 +50,7 @@ class EpisodeColumns:
     """Numbers along an episode of N frames."""
 
     steps: Float[ndarray, "N"]
-    """environment steps since the reset"""
+    """environment steps since the reset, of which an environment that ends early has several"""
     columns: dict[str, Float[ndarray, "N"]]
     """true state [m], proprioception, actions and reward by name; none of pictures alone"""
 

@@ -7,6 +7,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from nerf_rl.datasets.storage.frames import EpisodeColumns
+from nerf_rl.viewer.drawing.lines import as_lines
 from nerf_rl.viewer.drawing.statistics import Statistics
 
 if TYPE_CHECKING:
@@ -19,19 +20,18 @@ def statistics_charts(statistics: Statistics, palette: UInt8[ndarray, "C 3"]) ->
     return charts + ([_shares_chart(statistics.class_shares, palette)] if statistics.class_shares else [])
 
 
-def columns_chart(columns: EpisodeColumns, now: float | None = None) -> UInt8[ndarray, "A B 3"]:
-    """Return the columns along an episode, of which there is one at least; ``now`` marks a step."""
+def columns_chart(columns: EpisodeColumns) -> UInt8[ndarray, "A B 3"]:
+    """Return the columns along an episode, of which there is one at least."""
     acted = [name for name in columns.columns if name.startswith("action") or name == "reward"]
     state = [name for name in columns.columns if name not in acted]  # imported episodes may have none
     groups = [names for names in (state, acted) if names]
     figure = _figure(7.0, 3.2)
     for axes, names in zip(np.atleast_1d(figure.subplots(1, len(groups))), groups, strict=True):
-        for name in names:
-            axes.plot(columns.steps, columns.columns[name], marker=".", label=_literal(name))
+        steps, lines = as_lines(columns.steps, [columns.columns[name] for name in names])
+        for name, values in zip(names, lines, strict=True):
+            axes.plot(steps, values, marker=".", label=_literal(name))
         axes.set(xlabel="environment step")
         axes.legend(fontsize=6, ncols=2)
-        if now is not None:
-            axes.axvline(now, color="0.4", linewidth=1)
     return rasterise(figure)
 
 

@@ -110,7 +110,7 @@ class AgentView:
             with self._tab:
                 self._plot = ColumnsPanel(self.server.gui, [name.replace(" ", "_") for name in lines])
         columns = {name.replace(" ", "_"): np.asarray(values, np.float64) for name, values in lines.items()}
-        self._plot.show(EpisodeColumns(steps, columns), float(min(step, len(steps) - 1)))
+        self._plot.show(EpisodeColumns(steps, columns), min(step, len(steps) - 1))
         acted = min(step, len(steps) - 1)
         value = "" if episode.values is None else f", Q {episode.values[acted]:.2f}"
         self.status.content = (

@@ -119,7 +119,7 @@ class DatasetView:
             frames = self._timeline.frames(frame.episode)
             if self._columns is None or self._columns[0] != frames:
                 self._columns = frames, read_columns(self.dataset, frames)
-            self.columns.show(self._columns[1], frame.step)
+            self.columns.show(self._columns[1], index - frames.start)
             outcome = ", success" if frame.success else ", no success yet"
         self.status.content = (
             f"frame **{index}** of {len(self.dataset)}, episode **{frame.episode}**, "

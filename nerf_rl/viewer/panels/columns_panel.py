@@ -5,6 +5,7 @@ import viser
 import viser.uplot
 
 from nerf_rl.datasets.storage.frames import EpisodeColumns
+from nerf_rl.viewer.drawing.lines import as_lines
 
 _COLOURS = ("#d62728", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2", "#7f7f7f")
 
@@ -22,14 +23,14 @@ class ColumnsPanel:
         first = next(iter(self._groups))
         self.group = gui.add_dropdown("Plot", tuple(self._groups), initial_value=first)
         self._columns: EpisodeColumns | None = None
-        self._step = 0.0
+        self._place = 0
         empty = (np.array([0.0, 1.0]), np.array([0.0, 0.0]), np.array([0.0, 0.0]))
         self._plot = gui.add_uplot(empty, _series(["-"]), height=190, scales={"x": {"time": False}})
         self.group.on_update(lambda _: self._draw())
 
-    def show(self, columns: EpisodeColumns, step: float) -> None:
-        """Draw an episode and mark a step."""
-        self._columns, self._step = columns, step
+    def show(self, columns: EpisodeColumns, place: int) -> None:
+        """Draw an episode and mark a place in it, counted in frames from its first one."""
+        self._columns, self._place = columns, place
         self._draw()
 
     def _draw(self) -> None:
@@ -37,9 +38,10 @@ class ColumnsPanel:
             return
         names = self._groups[self.group.value]
         values = [self._columns.columns[name] for name in names]
-        now = np.where(self._columns.steps == self._step, values[0], np.nan)
+        now = np.where(np.arange(len(values[0])) == self._place, values[0], np.nan)
+        steps, lines = as_lines(self._columns.steps, [*values, now])
         self._plot.series = _series(names)
-        self._plot.data = (self._columns.steps, *values, now)
+        self._plot.data = (steps, *lines)
 
 
 def _groups(names: list[str]) -> dict[str, list[str]]:
