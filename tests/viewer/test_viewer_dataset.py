@@ -106,15 +106,15 @@ def test_statistics_are_those_of_the_first_frames(dataset: MultiViewDataset) -> 
     for i, name in enumerate(dataset.class_names):
         assert np.isclose(statistics.class_shares[name], (labels == i).mean())
     column = dataset.columns("privileged").index("handle_x")
-    assert np.allclose(statistics.resets["handle"][:, 0], dataset.read("state/privileged", first)[:, column])
-    assert len(sample_statistics(dataset, episodes=2).resets["hand"]) == 2
+    assert np.allclose(statistics.places["handle"][:, 0], dataset.read("state/privileged", first)[:, column])
+    assert len(sample_statistics(dataset, episodes=2).places["hand"]) == 2
 
 
 def test_charts_are_not_blank(dataset: MultiViewDataset) -> None:
     columns = read_columns(dataset, range(3))
     assert np.array_equal(columns.columns["reward"], dataset.read("reward", [0, 1, 2]))
     charts = statistics_charts(sample_statistics(dataset), dataset.palette)
-    assert len(charts) == 2  # where episodes begin, shares of classes
+    assert len(charts) == 2  # where things are, shares of classes
     for chart in (*charts, columns_chart(columns)):
         assert chart.ndim == 3 and chart.std() > 10
 

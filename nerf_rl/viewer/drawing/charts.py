@@ -15,9 +15,10 @@ if TYPE_CHECKING:
 
 
 def statistics_charts(statistics: Statistics, palette: UInt8[ndarray, "C 3"]) -> list[UInt8[ndarray, "_ _ 3"]]:
-    """Return where episodes begin, and the share of each class in the pixels; of these what is known."""
-    charts = [_resets_chart(statistics.resets)] if statistics.resets else []
-    return charts + ([_shares_chart(statistics.class_shares, palette)] if statistics.class_shares else [])
+    """Return where things are, and the share of each class in the pixels; of these what is known."""
+    colours = dict(zip(statistics.class_shares, palette / 255.0, strict=False))  # without labels there are no shares
+    charts = [_places_chart(statistics.places, colours)] if statistics.places else []
+    return charts + ([_shares_chart(statistics.class_shares, colours)] if colours else [])
 
 
 def columns_chart(columns: EpisodeColumns) -> UInt8[ndarray, "A B 3"]:
@@ -66,24 +67,26 @@ def _literal(name: str) -> str:
     return f" {escaped}" if escaped.startswith("_") else escaped
 
 
-def _resets_chart(resets: dict[str, Float[ndarray, "_ 2"]]) -> UInt8[ndarray, "A B 3"]:
+def _places_chart(places: dict[str, Float[ndarray, "_ 2"]], colours: dict[str, ndarray]) -> UInt8[ndarray, "A B 3"]:
+    """A thing that is a class is a dot of its colour, others are crosses."""
     figure = _figure(4.4, 3.4)
     axes = figure.subplots()
-    for name, places in resets.items():
-        axes.scatter(places[:, 0], places[:, 1], s=9, alpha=0.6, label=_literal(name))
-    title = "where episodes begin (first frames)"
-    axes.set(xlabel="x [m]", ylabel="y [m]", title=title, aspect="equal", adjustable="datalim")
+    for name, xy in places.items():
+        marker = "o" if name in colours else "x"
+        axes.scatter(xy[:, 0], xy[:, 1], s=12, alpha=0.6, label=_literal(name), color=colours.get(name), marker=marker)
+    title = "where things are (first kept frame of each episode)"
+    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", adjustable="datalim")
+    axes.set_title(title, fontsize=9)
     axes.legend(fontsize=8)
     return rasterise(figure)
 
 
-def _shares_chart(shares: dict[str, float], palette: UInt8[ndarray, "C 3"]) -> UInt8[ndarray, "A B 3"]:
+def _shares_chart(shares: dict[str, float], colours: dict[str, ndarray]) -> UInt8[ndarray, "A B 3"]:
     figure = _figure(4.4, 2.2)
     axes = figure.subplots()
     names = list(shares)[::-1]
-    bars = axes.barh(
-        [_literal(name) for name in names], [100 * shares[name] for name in names], color=palette[::-1] / 255.0
-    )
+    percent = [100 * shares[name] for name in names]
+    bars = axes.barh([_literal(name) for name in names], percent, color=[colours[name] for name in names])
     axes.bar_label(bars, fmt="%.1f", padding=3, fontsize=8)
     axes.set(xlabel="share of pixels [%]")
     axes.margins(x=0.15)
