@@ -79,4 +79,4 @@ def test_a_dollar_in_a_name_is_drawn_and_an_underscore_hides_no_line() -> None:
     frame = EpisodeColumns(np.arange(3.0), {"$\\frac{$_x": np.arange(3.0)})
     assert columns_chart(frame).std() > 5
     charts = [columns_chart(EpisodeColumns(frame.steps, {name: np.arange(3.0)})) for name in ("_i", "_iiiiiiii")]
-    assert not np.array_equal(*charts)  # the legend tells them apart
+    assert not np.array_equal(*charts)  # the title tells them apart

@@ -1,5 +1,6 @@
 """Charts as pictures, drawn by Matplotlib."""
 
+import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -7,11 +8,15 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from nerf_rl.datasets.storage.frames import EpisodeColumns
-from nerf_rl.viewer.drawing.lines import as_lines
+from nerf_rl.viewer.drawing.lines import as_lines, plotted_together
 from nerf_rl.viewer.drawing.statistics import Statistics
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+_MOST_TOLD_APART = 10  # lines or dots, by Matplotlib's colours
+_MARKERS = "x+1^sv"  # of so many each
+_SHORT_NAME = 14  # characters of which three stand in a row of a chart's legend
 
 
 def statistics_charts(statistics: Statistics, palette: UInt8[ndarray, "C 3"]) -> list[UInt8[ndarray, "_ _ 3"]]:
@@ -22,17 +27,25 @@ def statistics_charts(statistics: Statistics, palette: UInt8[ndarray, "C 3"]) ->
 
 
 def columns_chart(columns: EpisodeColumns) -> UInt8[ndarray, "A B 3"]:
-    """Return the columns along an episode, of which there is one at least."""
-    acted = [name for name in columns.columns if name.startswith("action") or name == "reward"]
-    state = [name for name in columns.columns if name not in acted]  # imported episodes may have none
-    groups = [names for names in (state, acted) if names]
-    figure = _figure(7.0, 3.2)
-    for axes, names in zip(np.atleast_1d(figure.subplots(1, len(groups))), groups, strict=True):
+    """Return the columns along an episode, of which there is one at least, a panel for each thing."""
+    groups = plotted_together(list(columns.columns))
+    across = min(2, len(groups))
+    down = -(-len(groups) // across)
+    figure = _figure(7.0, 1.4 * down + 0.4)
+    panels = figure.subplots(down, across, sharex=True, squeeze=False).ravel()
+    for axes, (group, names) in zip(panels, groups.items(), strict=False):
         steps, lines = as_lines(columns.steps, [columns.columns[name] for name in names])
         for name, values in zip(names, lines, strict=True):
             axes.plot(steps, values, marker=".", label=_literal(name))
-        axes.set(xlabel="environment step")
-        axes.legend(fontsize=6, ncols=2)
+        axes.set_title(_literal(group if len(names) > 1 else names[0]), fontsize=8)
+        axes.tick_params(labelsize=7)
+        if 1 < len(names) <= _MOST_TOLD_APART:
+            axes.legend(fontsize=6)
+    for axes in panels[len(groups) :]:
+        axes.remove()
+    for axes in panels[len(groups) - across : len(groups)]:
+        axes.set_xlabel("environment step", fontsize=8)
+        axes.xaxis.set_tick_params(labelbottom=True)  # of the last but one, too, where nothing is below it
     return rasterise(figure)
 
 
@@ -69,20 +82,22 @@ def _literal(name: str) -> str:
 
 def _places_chart(places: dict[str, Float[ndarray, "_ 2"]], colours: dict[str, ndarray]) -> UInt8[ndarray, "A B 3"]:
     """A thing that is a class is a dot of its colour, others are crosses."""
-    figure = _figure(4.4, 3.4)
+    columns = 3 if max(map(len, places)) <= _SHORT_NAME else 2
+    figure = _figure(4.4, 3.4 + 0.18 * -(-len(places) // columns))
     axes = figure.subplots()
+    others = (marker for marker in itertools.cycle(_MARKERS) for _ in range(_MOST_TOLD_APART))
     for name, xy in places.items():
-        marker = "o" if name in colours else "x"
+        marker = "o" if name in colours else next(others)
         axes.scatter(xy[:, 0], xy[:, 1], s=12, alpha=0.6, label=_literal(name), color=colours.get(name), marker=marker)
     title = "where things are (first kept frame of each episode)"
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", adjustable="datalim")
     axes.set_title(title, fontsize=9)
-    axes.legend(fontsize=8)
+    figure.legend(loc="outside lower center", ncols=columns, fontsize=8)
     return rasterise(figure)
 
 
 def _shares_chart(shares: dict[str, float], colours: dict[str, ndarray]) -> UInt8[ndarray, "A B 3"]:
-    figure = _figure(4.4, 2.2)
+    figure = _figure(4.4, max(2.2, 0.2 * len(shares) + 0.6))
     axes = figure.subplots()
     names = list(shares)[::-1]
     percent = [100 * shares[name] for name in names]

@@ -19,3 +19,11 @@ def as_lines(
     ascending = steps + np.cumsum(before)
     gapped = np.insert(ascending, resets, ascending[resets] - 0.5)
     return gapped, [np.insert(column, resets, np.nan) for column in values]
+
+
+def plotted_together(names: list[str]) -> dict[str, list[str]]:
+    """Gather columns that belong in one plot: positions of one thing, all actions."""
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        groups.setdefault(name.rpartition("_")[0] or name, []).append(name)
+    return groups

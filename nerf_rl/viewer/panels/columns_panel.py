@@ -5,7 +5,7 @@ import viser
 import viser.uplot
 
 from nerf_rl.datasets.storage.frames import EpisodeColumns
-from nerf_rl.viewer.drawing.lines import as_lines
+from nerf_rl.viewer.drawing.lines import as_lines, plotted_together
 
 _COLOURS = ("#d62728", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2", "#7f7f7f")
 
@@ -19,7 +19,7 @@ class ColumnsPanel:
     """
 
     def __init__(self, gui: viser.GuiApi, names: list[str]):
-        self._groups = _groups(names)
+        self._groups = plotted_together(names)
         first = next(iter(self._groups))
         self.group = gui.add_dropdown("Plot", tuple(self._groups), initial_value=first)
         self._columns: EpisodeColumns | None = None
@@ -42,14 +42,6 @@ class ColumnsPanel:
         steps, lines = as_lines(self._columns.steps, [*values, now])
         self._plot.series = _series(names)
         self._plot.data = (steps, *lines)
-
-
-def _groups(names: list[str]) -> dict[str, list[str]]:
-    """Gather columns that belong in one plot: positions of one thing, all actions."""
-    groups: dict[str, list[str]] = {}
-    for name in names:
-        groups.setdefault(name.rpartition("_")[0] or name, []).append(name)
-    return groups
 
 
 def _series(names: list[str]) -> tuple[viser.uplot.Series, ...]:
