@@ -172,7 +172,7 @@ class PretrainConfig:
     max_minutes: Positive | None = None
     """wall-clock budget of training, validations apart [minutes]; schedules end with it"""
     stop_when: str | None = None
-    """measure of a validation that ends the run, such as miou>=0.9, psnr_db>=24, ssim>=0.8 or depth_mae_m<=0.03"""
+    """a validation's "miou>=0.9", "psnr_db>=24", "ssim>=0.8" or "depth_mae_m<=0.03", in quotes, that ends the run"""
     learning_rate: Positive = 1e-3
     """peak rate of Adam"""
     field_rate: Positive = 2.0

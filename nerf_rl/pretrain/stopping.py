@@ -36,7 +36,10 @@ def parse_goal(text: str) -> Goal:
     except ValueError:
         value = None
     if found is None or value is None:
-        raise UserError(f"--stop_when takes MEASURE>=NUMBER or MEASURE<=NUMBER, such as miou>=0.9, got '{text}'")
+        raise UserError(
+            "--stop_when takes MEASURE>=NUMBER or MEASURE<=NUMBER in quotes, since a shell takes > and < for itself, "
+            f"such as \"miou>=0.9\", got '{text}'"
+        )
     if found[1] not in MEASURES:
         raise UnknownNameError("measure", found[1], MEASURES)
     return Goal(found[1], found[2] == ">=", value)

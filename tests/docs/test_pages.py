@@ -77,6 +77,11 @@ def test_what_is_not_run_stands_in_some_page_and_has_a_reason() -> None:
 
 
 @pytest.mark.parametrize("page", pages())
+def test_a_goal_is_in_quotes_since_a_shell_takes_its_sign_for_a_redirection(page: str) -> None:
+    assert not re.findall(r"--stop_when [^\s\"']*[<>].*", (ROOT / page).read_text())
+
+
+@pytest.mark.parametrize("page", pages())
 def test_every_relative_link_leads_to_a_file_and_every_anchor_to_a_heading(page: str) -> None:
     folder, text = (ROOT / page).parent, (ROOT / page).read_text()
     for link in LINK.findall(text):

@@ -105,7 +105,13 @@ def test_goals_are_read(text: str, goal: Goal):
 
 
 @pytest.mark.parametrize(
-    "text, fault", [("miou>0.9", "takes MEASURE>=NUMBER"), ("miou>=high", "takes"), ("iou>=0.9", "did you mean miou")]
+    "text, fault",
+    [
+        ("miou>0.9", "takes MEASURE>=NUMBER"),
+        ("miou>=high", "takes"),
+        ("iou>=0.9", "did you mean miou"),
+        ("miou", "in quotes, since a shell takes"),  # what a shell leaves of miou>=0.9
+    ],
 )
 def test_what_is_no_goal_is_told(text: str, fault: str):
     with pytest.raises(UserError, match=fault):
