@@ -16,6 +16,7 @@ from nerf_rl.scenes.body_parts import BodyParts, chain, placed_name, short_name
 from nerf_rl.scenes.workspace import drawn_geoms
 
 BACKGROUND = "background"
+_ROBOT, _GRIPPER = "robot", "gripper"
 _MOST_CLASSES = 255
 
 
@@ -44,7 +45,9 @@ def semantic_classes(
     robot *robot*; a body that moves by a joint of its own is a class of its own with what is fixed to it; what is fixed
     in the same tree (a cabinet around a drawer) is a class by its body's name; a fixed tree that can be seen (a shelf)
     is a class by its root's name; surroundings and what belongs to no body are background. What an environment places
-    anew in each episode is none, whatever it belongs to: it has its body's name, or the geom's own in the world.
+    anew in each episode is none, whatever it belongs to: it has its body's name, or the geom's own in the world. What
+    moves and has no name, in something that is seen itself or holds more, is ``object_`` and its body's id; a thing
+    that is called as another class, such as *robot*, has ``_object`` behind its name.
 
     Args:
         model: compiled.
@@ -117,11 +120,13 @@ class _AutomaticClasses:
     def __init__(self, model: mujoco.MjModel, parts: BodyParts, robot_links: RobotLinks):
         self._model, self._parts = model, parts
         self._movable = {int(model.body_rootid[body]) for body in range(1, model.nbody) if model.body_jntnum[body]}
-        drawn = {int(model.geom_bodyid[geom]) for geom in drawn_geoms(model)}
-        self._seen = {int(model.body_rootid[body]) for body in drawn}
+        self._drawn = {int(model.geom_bodyid[geom]) for geom in drawn_geoms(model)}
+        self._seen = {int(model.body_rootid[body]) for body in self._drawn}
         self._with_geoms = {model.body(int(body)).name for body in model.geom_bodyid}
         alone = self._movable <= set(parts.robot) and not parts.gripper
         self._links_apart = robot_links == "apart" or (robot_links == "apart_if_alone" and alone)
+        of_robot = {_ROBOT: parts.robot, _GRIPPER: parts.gripper}
+        self._taken = {BACKGROUND, *(name for name, bodies in of_robot.items() if bodies)}
 
     def name(self, body: int) -> str:
         """Return the name of a body's class."""
@@ -129,18 +134,42 @@ class _AutomaticClasses:
         links = chain(model, body)
         moved_by = [link for link in links if model.body_jntnum[link]][:1]
         if set(links) & set(self._parts.gripper):
-            return "gripper"
+            return _GRIPPER
         if set(links) & set(self._parts.robot):
             if self._links_apart and moved_by:
                 return self._first_name(moved_by) or f"link_{moved_by[0]}"
-            return "robot"
+            return _ROBOT
         if not body or root in self._parts.surroundings:
             return BACKGROUND
         if root in self._movable:
-            return self._first_name([*moved_by, *links]) or f"object_{root}"
+            return self._told_apart(self._movable_name(links, moved_by))
         if root not in self._seen or model.body_mocapid[root] >= 0:
             return BACKGROUND
-        return self._first_name(links[::-1]) or f"fixture_{root}"
+        name = self._first_name(links[::-1]) or f"fixture_{root}"
+        return name if name == BACKGROUND else self._told_apart(name)  # who calls a wall that means it
+
+    def _movable_name(self, links: list[int], moved_by: list[int]) -> str:
+        """Return the name of a body that moves or of what is fixed in such a tree.
+
+        What moves and has no name is called as what is around it, unless that is around anything else.
+
+        Args:
+            links: the body and its ancestors.
+            moved_by: the first of them that has a joint, if one has.
+        """
+        together = links[: links.index(moved_by[0]) + 1] if moved_by else links
+        name = self._first_name([*moved_by, *together])
+        if name or not moved_by:
+            return name or f"object_{links[-1]}"
+        around = next((link for link in links if self._model.body(link).name), links[-1])
+        chains = [chain(self._model, body) for body in self._drawn]
+        if any(around in other and moved_by[0] not in other for other in chains):
+            return f"object_{moved_by[0]}"
+        return self._first_name([around]) or f"object_{around}"
+
+    def _told_apart(self, name: str) -> str:
+        """Return a thing's name, with an end if a class of another kind is called so."""
+        return f"{name}_object" if name in self._taken else name
 
     def _first_name(self, links: list[int]) -> str:
         """Return the first name of some bodies, shortened, unless another body is called so."""

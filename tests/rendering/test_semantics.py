@@ -118,6 +118,44 @@ def test_a_cup_and_a_cup_link_are_two_things():
     assert names == {"cup/a": "cup", "cup_link/b": "cup_link", "pan_link/c": "pan", "tray/tray_link/d": "tray"}
 
 
+def test_what_moves_and_has_no_name_is_a_class_of_its_own():
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><body name="cabinet"><geom name="case" size="0.1"/>
+        <body><joint/><geom name="upper" size="0.1"/><body><geom name="knob" size="0.1"/></body></body>
+        <body><joint/><geom name="lower" size="0.1"/><body name="handle"><geom name="bar" size="0.1"/></body></body>
+        <body><geom name="top" size="0.1"/></body></body>
+        <body name="dial"><body><joint/><geom name="disc" size="0.1"/></body></body>
+        <body><body><joint/><geom name="lever" size="0.1"/></body></body>
+        <body><body><joint/><geom name="left" size="0.1"/></body>
+        <body><joint/><geom name="right" size="0.1"/></body></body>
+        </worldbody></mujoco>"""
+    )
+    assert {path.rpartition("/")[2]: name for path, name in class_of(model, BodyParts()).items()} == {
+        **dict.fromkeys(("case", "top"), "cabinet"),
+        **dict.fromkeys(("upper", "knob"), "object_2"),
+        "lower": "object_4",
+        "bar": "handle",
+        "disc": "dial",  # a name around nothing else
+        "lever": "object_9",
+        "left": "object_12",
+        "right": "object_13",
+    }
+
+
+@pytest.mark.parametrize("joint", ["<freejoint/>", ""])
+def test_a_thing_by_the_name_of_another_class_joins_it_not(joint: str):
+    names = ("background", "robot", "gripper")
+    things = "".join(f'<body name="{name}">{joint}<geom name="{name}" size="0.1"/></body>' for name in names)
+    text = CABINET.replace("</worldbody>", f"{things}</worldbody>")
+    model = mujoco.MjModel.from_xml_string(text)
+    found = class_of(model, parts(model))
+    own = {name: found[f"{name}/{name}"] for name in names}
+    behind = "background_object" if joint else "background"  # a wall is, by that name
+    assert own == {"background": behind, "robot": "robot_object", "gripper": "gripper_object"}
+    found = class_of(model, BodyParts())  # there is no robot
+    assert [found[f"{name}/{name}"] for name in names] == [behind, "robot", "gripper"]
+
+
 def test_patterns_come_before_links(cabinet: mujoco.MjModel):
     patterns = [ClassConfig("robot", "^base/arm/link")]
     assert class_of(cabinet, parts(cabinet), patterns, robot_links="apart")["base/arm/link"] == "robot"
