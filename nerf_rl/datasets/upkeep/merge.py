@@ -1,5 +1,6 @@
 """Putting the parts of a dataset, rendered by several jobs or machines, together into the dataset of a single run."""
 
+import contextlib
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
@@ -28,7 +29,7 @@ def merge(config: MergeConfig) -> None:
         UserError: a folder holds no parts, parts are of different datasets, or the output folder is in use.
         FailureError: a part is missing, unfinished or damaged, or the disk is full.
     """
-    folders = [Path(folder) for folder in config.parts]
+    folders = list({Path(folder).resolve(): Path(folder) for folder in config.parts}.values())
     out = Path(config.out) if config.out else folders[0]
     parts = [part for folder in folders for part in _finished_parts(folder)]
     manifests = {part: read_json(part / MANIFEST) for part in parts}
@@ -59,15 +60,14 @@ def merge(config: MergeConfig) -> None:
         manifest = with_shards(description, (entry for _, entry in sources), renderers)
         write_checksummed(out / MANIFEST, manifest)
         views = manifest["frames"] * len(manifest["cameras"])
-        summaries = [read_json(part / SUMMARY) for part in parts]
-        seconds = sum(made["seconds"] for made in summaries)
+        seconds = sum(_measured(part, "seconds") for part in parts)
         summary = {
             "frames": manifest["frames"],
             "views": views,
             "seconds": round(seconds, 2),
             "views_per_second": round(views / max(seconds, 0.01), 1),
             "renderer": manifest["renderer"],
-            "worker_peak_rss_mb": max(made["worker_peak_rss_mb"] for made in summaries),
+            "worker_peak_rss_mb": max(_measured(part, "worker_peak_rss_mb") for part in parts),
         }
         summary |= warn_of_blind_cameras(out)
         write_json(out / SUMMARY, summary)
@@ -133,15 +133,21 @@ def _sources(manifests: dict[Path, dict[str, Any]], config: dict[str, Any]) -> l
     return [found[file] for file in wanted]
 
 
+def _measured(part: Path, key: str) -> float:
+    """Return a number of a part's summary; 0 if that is damaged, since a summary is not part of the data."""
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+        return float(read_json(part / SUMMARY)[key])
+    return 0.0
+
+
 def _gather(out: Path, sources: Iterable[tuple[Path, dict[str, Any]]]) -> None:
-    """Bring the shards into the output folder, checking each.
+    """Bring the shards into the output folder, checking each; the manifest of an earlier merge goes before any changes.
 
     Raises:
         FailureError: a shard is not what its part says.
     """
     sources = list(sources)
     (out / SHARDS).mkdir(exist_ok=True)
-    (out / MANIFEST).unlink(missing_ok=True)
     with Progress(len(sources), "shards") as progress:
         for source, entry in sources:
             target = out / entry["file"]
@@ -151,6 +157,7 @@ def _gather(out: Path, sources: Iterable[tuple[Path, dict[str, Any]]]) -> None:
                 with atomic_write(target) as aside:
                     shutil.copyfile(source, aside)
                     _require_digest(aside, source, entry["sha256"])
+                    (out / MANIFEST).unlink(missing_ok=True)
             progress.advance()
 
 

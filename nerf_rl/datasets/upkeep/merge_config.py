@@ -19,5 +19,7 @@ class MergeConfig:
     """replace an existing dataset"""
 
     def __post_init__(self) -> None:
+        if not self.parts:
+            raise UserError("--parts is empty; name the folders that gen-dataset --shard I/N wrote to")
         if not self.out and len(self.parts) != 1:
             raise UserError(f"--out is needed to put {len(self.parts)} folders together")

@@ -87,6 +87,34 @@ def test_an_interrupted_merge_goes_on(apart: tuple[Path, Path], tiny_dataset: Pa
     assert (out / SHARDS / "000000.h5").stat().st_mtime_ns == kept
 
 
+def test_a_damaged_shard_costs_a_merged_dataset_no_more_than_that_shard(
+    parts: Path, tiny_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    folder = Path(shutil.copytree(parts, tmp_path / "data"))
+    assert cli.main(["merge", str(folder)]) == 0
+    (folder / SHARDS / "000001.h5").write_bytes(b"changed")
+    assert cli.main(["merge", str(folder)]) == 1
+    assert "000001.h5 is not what its part recorded" in capsys.readouterr().err
+    assert (folder / MANIFEST).read_bytes() == (tiny_dataset / MANIFEST).read_bytes()
+
+
+def test_what_parts_measured_is_not_needed_and_no_folder_counts_twice(
+    parts: Path, tiny_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    folder = Path(shutil.copytree(parts, tmp_path / "data"))
+    first, second = sorted(folder.glob(f"{PARTS}/*/summary.json"))
+    seconds = read_json(second)["seconds"]
+    first.write_text("{}")
+    again = folder.parent / "." / ".." / folder.parent.name / folder.name
+    assert cli.main(["merge", str(folder), str(again), "--out", str(tmp_path / "all")]) == 0
+    assert content(tmp_path / "all") == content(tiny_dataset)
+    assert read_json(tmp_path / "all" / "summary.json")["seconds"] == seconds
+    assert "12 frames, 48 views of 2 parts" in capsys.readouterr().out
+    second.write_text('{"seconds"')
+    assert cli.main(["merge", str(folder)]) == 0
+    assert content(folder) == content(tiny_dataset)
+
+
 def test_a_part_refuses_a_folder_of_another_plan_and_its_own_twice(
     parts: Path, tiny_dataset: Path, tiny_recipe: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -119,6 +147,7 @@ def test_what_is_missing_unfinished_damaged_or_of_another_dataset_is_told(
     first, second = apart
     both = [str(first), str(second), "--out", str(tmp_path / "all")]
     assert "--out is needed to put 2 folders together" in message_of(*both[:2])
+    assert "--parts is empty; name the folders" in message_of("--parts", "[]", "--out", str(tmp_path / "all"))
     assert "1 of 2 shards are in no part, such as 000001" in message_of(str(first))
     assert "is not a folder with parts of a dataset" in message_of(str(tmp_path))
 
