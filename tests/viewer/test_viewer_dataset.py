@@ -15,6 +15,7 @@ from nerf_rl.viewer.drawing.lines import as_lines
 from nerf_rl.viewer.drawing.pictures import camera_strip, depth_limits, depth_scale, heat, legend
 from nerf_rl.viewer.drawing.statistics import sample_statistics
 from nerf_rl.viewer.panels.columns_panel import ColumnsPanel
+from nerf_rl.viewer.panels.scene_panel import ScenePanel
 from nerf_rl.viewer.server import serve
 from nerf_rl.viewer.timeline import Timeline
 
@@ -144,3 +145,22 @@ def test_the_episodes_plot_ascends_and_marks_one_frame() -> None:
         steps, _, now = panel._plot.data
     assert (np.diff(steps) > 0).all()
     assert now[~np.isnan(now)].tolist() == [3.0]
+
+
+def test_positions_have_the_colours_of_the_axes() -> None:
+    with serve("127.0.0.1", 0, "test") as server:
+        panel = ColumnsPanel(server.gui, [f"hand_{axis}" for axis in "xyz"])
+        panel.show(EpisodeColumns(np.arange(2.0), {f"hand_{axis}": np.zeros(2) for axis in "xyz"}), 0)
+        strokes = [line["stroke"] for line in panel._plot.series[1:4]]
+    channels = [[int(stroke[i : i + 2], 16) for i in (1, 3, 5)] for stroke in strokes]
+    assert np.argmax(channels, axis=1).tolist() == [0, 1, 2]
+
+
+def test_cameras_are_hidden_with_their_names(dataset: MultiViewDataset) -> None:
+    with serve("127.0.0.1", 0, "test") as server:
+        frame = read_frame(dataset, 0)
+        panel = ScenePanel(server, dataset, frame, lambda: None)
+        panel.show(frame)
+        for shown in (False, True):
+            panel._show_frusta(shown)
+            assert {node.visible for node in (*panel._frusta, *panel._names)} == {shown}

@@ -7,7 +7,8 @@ import viser.uplot
 from nerf_rl.datasets.storage.frames import EpisodeColumns
 from nerf_rl.viewer.drawing.lines import as_lines, plotted_together
 
-_COLOURS = ("#d62728", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2", "#7f7f7f")
+# the first three as the axes in the 3-D scene are: x red, y green, z blue
+_COLOURS = ("#d62728", "#2ca02c", "#1f77b4", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2", "#7f7f7f")
 
 
 class ColumnsPanel:

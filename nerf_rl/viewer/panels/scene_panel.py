@@ -125,8 +125,8 @@ class ScenePanel:
             self._frusta.append(frustum)
 
     def _show_frusta(self, visible: bool) -> None:
-        for frustum in self._frusta:
-            frustum.visible = visible
+        for node in (*self._frusta, *self._names):
+            node.visible = visible
 
     def _resize(self) -> None:
         if self._cloud is not None:
