@@ -56,7 +56,8 @@ def pretrain(config: PretrainConfig) -> None:
             require_learnable(dataset, config)
         prepare_output(folder, config.overwrite, config.resume, resumable, "pretrain")
         write_provenance(folder, "pretrain", config)
-        print(f"training on {len(dataset)} frames of {config.data}; writing to {folder}", flush=True)
+        kept, held = (len(dataset.split(name)) for name in SPLIT_NAMES)
+        print(f"training on {kept} frames of {config.data}, {held} more held out; writing to {folder}", flush=True)
     checkpoint = folder / CHECKPOINT if config.resume and resumable else None
     if rank is None and config.processes > 1:
         run_on_each_device(config, train, checkpoint)

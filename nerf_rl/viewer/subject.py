@@ -11,6 +11,7 @@ from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION
 
 _MARKS = {"dataset": "manifest.json", "encoder": DESCRIPTION, "agent": POLICY_DESCRIPTION}
 _PLAN = "plan.json"
+_MOST_NAMED = 5
 RESUMED = ("gen-dataset", "import", "merge", "pretrain", "train-rl", "tune")
 """commands whose runs go on by ``--resume true``"""
 
@@ -37,17 +38,17 @@ def find_subject(path: Path) -> Subject:
         return Subject.DATASET
     if path.suffix == ".ckpt" and path.is_file() and (folder.parent / DESCRIPTION).is_file():
         return Subject.ENCODER
-    reason = _told_by_other_files(folder) if path.exists() else "it does not exist"
+    reason = _told_by_other_files(path, folder) if path.exists() else "it does not exist"
     expected = ", ".join(f"{mark} of {'an' if kind[0] in 'ae' else 'a'} {kind}" for kind, mark in _MARKS.items())
     raise MissingFileError("something to view", path, reason, f"expected a folder with one of: {expected}")
 
 
-def _told_by_other_files(folder: Path) -> str:
-    """Return what a folder is in which there is nothing to view."""
+def _told_by_other_files(path: Path, folder: Path) -> str:
+    """Return what a path is, in a folder in which there is nothing to view."""
     if (folder / _PLAN).is_file():
         return "it is an unfinished dataset (finish it with --resume true)"
     if not (folder / PROVENANCE).is_file():
-        return "its files are others"
+        return _told_by_contents(path) if path.is_dir() else "its files are others"
     seeds = sorted(folder.glob(f"seed-*/{POLICY_DESCRIPTION}"))
     if seeds:
         return f"it holds runs of several seeds; give the folder of one, such as {seeds[0].parent}"
@@ -57,3 +58,13 @@ def _told_by_other_files(folder: Path) -> str:
     if (folder / SUMMARY).is_file():
         return f"it is a finished run of {command}"
     return f"it is an unfinished run of {command}" + " (finish it with --resume true)" * (command in RESUMED)
+
+
+def _told_by_contents(folder: Path) -> str:
+    """Return what a folder is that no command of ours wrote."""
+    contents = sorted(folder.iterdir())
+    inside = [entry for entry in contents if any((entry / mark).is_file() for mark in _MARKS.values())]
+    if inside:
+        names = ", ".join(entry.name for entry in inside[:_MOST_NAMED]) + ", ..." * (len(inside) > _MOST_NAMED)
+        return f"it holds {names}; give the folder of one, such as {inside[0]}"
+    return "its files are others" if contents else "it is empty"

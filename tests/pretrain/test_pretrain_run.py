@@ -210,6 +210,19 @@ def test_a_missing_dataset_is_refused_and_nothing_is_written(
     assert not list(tmp_path.iterdir())
 
 
+def test_frames_that_are_held_out_are_not_said_to_be_trained_on(
+    tiny_dataset: Path,
+    tiny_pretraining_recipe: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    monkeypatch.setattr("nerf_rl.pretrain.train.train", lambda config, checkpoint: None)
+    assert pretrain(tiny_pretraining_recipe, tiny_dataset, tmp_path / "run") == 0
+    kept, held = (len(MultiViewDataset(tiny_dataset).split(name)) for name in ("train", "validation"))
+    assert held and f"training on {kept} frames of {tiny_dataset}, {held} more held out;" in capsys.readouterr().out
+
+
 def test_a_dataset_that_does_not_suit_is_refused_and_nothing_is_written(
     tiny_dataset: Path,
     tiny_pretraining_recipe: Path,

@@ -14,6 +14,7 @@ from nerf_rl.viewer.drawing.charts import columns_chart, statistics_charts
 from nerf_rl.viewer.drawing.lines import as_lines
 from nerf_rl.viewer.drawing.pictures import camera_strip, depth_limits, depth_scale, heat, legend
 from nerf_rl.viewer.drawing.statistics import sample_statistics
+from nerf_rl.viewer.pages.dataset_view import DatasetView
 from nerf_rl.viewer.panels.columns_panel import ColumnsPanel
 from nerf_rl.viewer.panels.scene_panel import ScenePanel
 from nerf_rl.viewer.server import serve
@@ -164,3 +165,12 @@ def test_cameras_are_hidden_with_their_names(dataset: MultiViewDataset) -> None:
         for shown in (False, True):
             panel._show_frusta(shown)
             assert {node.visible for node in (*panel._frusta, *panel._names)} == {shown}
+
+
+def test_a_page_tells_of_success_only_where_there_is_one(dataset: MultiViewDataset) -> None:
+    """A scene that tells nothing of it has no frame with one either."""
+    with serve("127.0.0.1", 0, "test") as server:
+        page = DatasetView(server, dataset)
+        page.close()
+        page._show(int(np.argmin(dataset.read("success"))), lambda: False)
+        assert "step" in page.status.content and "success" not in page.status.content

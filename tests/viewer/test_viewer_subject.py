@@ -34,6 +34,21 @@ def test_a_foreign_folder_gets_one_sentence_that_says_what_was_expected(
     assert all(name in message for name in ("manifest.json", "encoder.json", "policy.json", str(tmp_path)))
 
 
+def test_a_folder_of_several_names_them_and_an_empty_one_is_said_to_be(tmp_path: Path) -> None:
+    with pytest.raises(MissingFileError, match="it is empty"):
+        find_subject(tmp_path)
+    (tmp_path / "report.html").touch()
+    with pytest.raises(MissingFileError, match="its files are others"):
+        find_subject(tmp_path)
+    for name, mark in (("encoder", "encoder.json"), ("agent", "policy.json"), ("notes", "x.txt")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / mark).touch()
+    with pytest.raises(MissingFileError, match=r"it holds agent, encoder; give the folder of one, such as .*/agent;"):
+        find_subject(tmp_path)
+    with pytest.raises(MissingFileError, match="its files are others"):
+        find_subject(tmp_path / "report.html")
+
+
 def test_a_missing_and_an_unfinished_folder_are_told_apart(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match="it does not exist"):
         find_subject(tmp_path / "nothing")

@@ -114,13 +114,12 @@ class DatasetView:
         frame = read_frame(self.dataset, index)
         self._scene_worker.order(frame)
         self.cameras.show(frame)
-        outcome = ""
         if self.columns is not None:
             frames = self._timeline.frames(frame.episode)
             if self._columns is None or self._columns[0] != frames:
                 self._columns = frames, read_columns(self.dataset, frames)
             self.columns.show(self._columns[1], index - frames.start)
-            outcome = ", success" if frame.success else ", no success yet"
+        outcome = ", success" if frame.success else ""  # whether a scene tells of it at all is not stored
         self.status.content = (
             f"frame **{index}** of {len(self.dataset)}, episode **{frame.episode}**, "
             f"step **{frame.step}**, {frame.split}{outcome}"
