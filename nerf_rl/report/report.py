@@ -147,20 +147,22 @@ def _add_agent(
     from nerf_rl.pictures.video import write_mp4
     from nerf_rl.rl.rollout import rollout
     from nerf_rl.rl.training.curves import draw_learning_curve
+    from nerf_rl.rl.training.episodes import evaluation_seeds
 
     page.heading("Policy")
     if sources.control != NO_CONTROL:
         shown = f"The policy is a control, {EYES_OF_CONTROLS[sources.control]}. {shown}"
     clips, outcomes = [], []
-    for i in range(config.episodes):
-        episode = rollout(config.agent, config.seed + i, config.encoder)
+    seeds = evaluation_seeds(config.seed, config.episodes)
+    for seed in seeds:
+        episode = rollout(config.agent, seed, config.encoder)
         outcomes.append(episode.outcome())
         clips.append(draw(episode))
     with TemporaryDirectory() as scratch:
         write_mp4(Path(scratch) / "clip.mp4", np.concatenate(clips), _FRAMES_PER_SECOND)
         draw_learning_curve(Path(scratch) / "curve.png", summary["evaluations"], "")
-        seeds = f"seeds {config.seed} to {config.seed + config.episodes - 1}"
-        caption = f"Episodes of {seeds} ({', '.join(outcomes)}). {shown}"
+        of_seeds = "Episode of seed" if len(seeds) == 1 else "Episodes of seeds"
+        caption = f"{of_seeds} {', '.join(map(str, seeds))} ({', '.join(outcomes)}). {shown}"
         page.clip((Path(scratch) / "clip.mp4").read_bytes(), caption)
         intervals = ", with 95 % intervals" if tells_success(summary["evaluations"]) else ""
         page.image((Path(scratch) / "curve.png").read_bytes(), f"Evaluations during training{intervals}.")

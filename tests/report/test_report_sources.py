@@ -12,6 +12,7 @@ from tiny_recipes import TINY_TRAINING
 
 from nerf_rl import cli
 from nerf_rl.files.checksummed_json import write_checksummed
+from nerf_rl.rl.training.episodes import evaluation_seeds
 
 MODULES = {"ppo": "stable_baselines3", "panda": "panda_gym"}
 KEYS = {
@@ -51,6 +52,7 @@ def test_an_agent_on_the_true_state_has_a_page_of_its_own(stateful: Path, tmp_pa
     assert sections(page) == ["Policy", "How it was made"]
     last = json.loads((stateful / "summary.json").read_text())["evaluations"][-1]
     assert f"success {last['success_rate']:.0%}" in page.read_text() and "true state" in page.read_text()
+    assert f"Episode of seed {evaluation_seeds(1, 1)[0]} (" in page.read_text()  # as view and evaluate draw theirs
     assert frames_of_clip(page)[1:] == (256, 256)
 
 
