@@ -1,5 +1,6 @@
 """Bodies that cameras follow without turning, as MuJoCo's ``mode="track"`` does: which ones, and from where."""
 
+import sys
 from dataclasses import dataclass
 
 import mujoco
@@ -10,6 +11,8 @@ from numpy import ndarray
 from nerf_rl.cameras.rig_config import AUTO, NOTHING, RigConfig
 from nerf_rl.cameras.tracking_frame import TrackingFrame
 from nerf_rl.errors import UnknownNameError
+from nerf_rl.scenes.base import Scene
+from nerf_rl.scenes.body_parts import can_travel
 from nerf_rl.scenes.workspace import Workspace
 
 
@@ -63,6 +66,24 @@ class Followers:
         if name == self._workspace.floating_base:  # the workspace remembers where that was when it was fitted
             start = self._workspace.centre - np.array(self._workspace.from_floating_base)
         return Following(frame, body, start, self._workspace.centre - frame.origin(start))
+
+
+def warn_of_unnamed_travellers(config: RigConfig, scene: Scene) -> None:
+    """Print a warning of each robot that travels and is not followed because its root has no name.
+
+    Args:
+        config: of the rig.
+        scene: whose cameras these are.
+    """
+    if config.follow != AUTO or scene.workspace().floating_base:
+        return
+    for root in scene.parts.robot:
+        if can_travel(scene.model, root) and not scene.model.body(root).name:
+            print(
+                f"warning: cameras do not follow the robot that travels in {scene.name}, since its root, body {root}, "
+                "has no name; give it one in the model, or rig.follow a body with one, or none if cameras are to stay",
+                file=sys.stderr,
+            )
 
 
 def body_id(model: mujoco.MjModel, name: str, user: str) -> int:

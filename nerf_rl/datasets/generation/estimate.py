@@ -9,6 +9,7 @@ from nerf_rl.datasets.generation.unfinished import OutputRecord
 from nerf_rl.datasets.storage.disk import bytes_free, bytes_needed, readable
 from nerf_rl.datasets.storage.shards import TRAIN
 from nerf_rl.machine.gl import use_one_software_thread, warn_of_software_rendering
+from nerf_rl.rendering.following import warn_of_unnamed_travellers
 
 _SECONDS, _LEAST_EPISODES = 2.0, 2  # of measuring
 
@@ -28,6 +29,7 @@ def print_estimate(config: GenDatasetConfig) -> None:
     try:
         renderer = context.renderer.gl_renderer
         warn_of_software_rendering(renderer)
+        warn_of_unnamed_travellers(config.rig, context.scene)
         opened = time.monotonic()
         measured = 0
         for episode in range(config.episodes):

@@ -19,6 +19,7 @@ from nerf_rl.files.json_files import write_json
 from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.machine.gl import warn_of_software_rendering
 from nerf_rl.progress import Progress
+from nerf_rl.rendering.following import warn_of_unnamed_travellers
 
 
 def generate_dataset(config: GenDatasetConfig) -> None:
@@ -41,6 +42,7 @@ def generate_dataset(config: GenDatasetConfig) -> None:
     finally:
         context.renderer.close()
     warn_of_software_rendering(gl_renderer)
+    warn_of_unnamed_travellers(config.rig, context.scene)
     total = sum(record.frames.values())
     done = record.finished_shards(description["scene"])
     if len(done) == len(record.frames) and record.is_complete():

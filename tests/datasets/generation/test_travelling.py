@@ -75,6 +75,31 @@ def test_following_can_be_forced_either_way(tmp_path: Path):
     assert frame is not None and (frame.body, frame.axes) == ("ffoot", "xyz")
 
 
+@pytest.mark.parametrize(
+    "name, joint, follow, warned",
+    [
+        ("", "", "auto", True),
+        ("", "", "none", False),
+        ("", 'range="-1 1"', "auto", False),
+        ('name="base"', "", "auto", False),
+    ],
+)
+@pytest.mark.parametrize("estimate", ["true", "false"])
+def test_a_robot_that_is_not_followed_for_want_of_a_name_is_told(
+    name: str, joint: str, follow: str, warned: bool, estimate: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "cart.xml").write_text(
+        f"""<mujoco><worldbody><light pos="0 0 3"/><geom type="plane" size="9 9 0.1" rgba="0.2 0.4 0.6 1"/>
+        <body {name} pos="0 0 0.2"><joint name="x" type="slide" {joint}/><geom type="box" size="0.2 0.1 0.1"/></body>
+        </worldbody><actuator><motor joint="x"/></actuator></mujoco>"""
+    )
+    words = ["gen-dataset", "--scene", str(tmp_path / "cart.xml"), "--out", str(tmp_path / "data"), "--size", "16"]
+    words += ["--episodes", "1", "--frames_per_episode", "1", "--episode_steps", "1", "--workers", "1"]
+    assert cli.main([*words, "--rig.follow", follow, "--estimate", estimate]) == 0
+    said = capsys.readouterr().err
+    assert said.count("since its root, body 1, has no name; give it one in the model") == int(warned)
+
+
 @pytest.mark.parametrize("frame", [{"body": 3, "axes": "xy"}, {"body": "torso", "axes": "z"}, {"body": "torso"}, None])
 def test_a_manifest_with_a_strange_frame_is_damaged(frame: object, travelling_dataset: Path, tmp_path: Path):
     manifest = json.loads((travelling_dataset / "manifest.json").read_text())
