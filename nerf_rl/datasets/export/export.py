@@ -15,6 +15,7 @@ from nerf_rl.datasets.export.lerobot.write import write_dataset
 from nerf_rl.datasets.export.mesh import load_open3d, write_mesh
 from nerf_rl.datasets.export.nerfstudio import write_scene
 from nerf_rl.datasets.export.seen import Seen, seen_in_frame
+from nerf_rl.datasets.storage.disk import explain_full_disk
 from nerf_rl.datasets.storage.frames import in_world, read_frame
 from nerf_rl.datasets.storage.point_cloud import write_point_cloud
 from nerf_rl.datasets.storage.reader import MultiViewDataset
@@ -31,15 +32,17 @@ def export(config: ExportConfig) -> None:
     Raises:
         UserError: no such dataset, frame, episode, class or camera; the dataset lacks what the format is made of; the
             output folder is in use; an extra is missing.
+        FailureError: the disk is full.
     """
     dataset, out = MultiViewDataset(config.dataset), Path(config.out)
     require_outside(out, config.dataset)
     check_output(out, config.overwrite)
     write = _lerobot(dataset, config) if config.format == "lerobot" else _frame_by_frame(dataset, config)
-    prepare_output(out, config.overwrite)
-    write_provenance(out, "export", config)
-    written = write(out)
-    write_json(out / SUMMARY, {**written, "format": config.format, "dataset": dataset.digest()})
+    with explain_full_disk(out, remedy="free some space or choose another --out, and export with --overwrite true"):
+        prepare_output(out, config.overwrite)
+        write_provenance(out, "export", config)
+        written = write(out)
+        write_json(out / SUMMARY, {**written, "format": config.format, "dataset": dataset.digest()})
 
 
 def _lerobot(dataset: MultiViewDataset, config: ExportConfig) -> Callable[[Path], dict[str, int]]:

@@ -101,6 +101,6 @@ def world_from_opengl_camera(camera_from_world: Float[ndarray, "4 4"]) -> Float[
 
 def _write_image(path: Path, image: ndarray) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
+    _, content = cv2.imencode(ENDING, np.ascontiguousarray(image))
     with atomic_write(path) as aside:
-        if not cv2.imwrite(str(aside), np.ascontiguousarray(image)):
-            raise OSError(f"{path} could not be written")
+        aside.write_bytes(content.tobytes())  # imwrite would not say why it fails

@@ -12,6 +12,7 @@ from nerf_rl.errors import FailureError
 
 _OVERHEAD_OF_A_SHARD = 32 * 1024  # HDF5's own structures [bytes]
 _FULL = (errno.ENOSPC, errno.EDQUOT)
+_RESUME = "finished shards are kept: free some space and run the same command with --resume true"
 
 
 def bytes_needed(layout: Layout, frames: int, shards: int) -> int:
@@ -54,12 +55,13 @@ def require_space(folder: Path, needed: int, less: str = "fewer --episodes or a 
 
 
 @contextlib.contextmanager
-def explain_full_disk(folder: Path, missing: Callable[[], int]) -> Iterator[None]:
+def explain_full_disk(folder: Path, missing: Callable[[], int] | None = None, remedy: str = _RESUME) -> Iterator[None]:
     """Turn the error of a full disk into a sentence that tells what is needed.
 
     Args:
         folder: that is written to.
-        missing: tells how many bytes are still to be written.
+        missing: tells how many bytes are still to be written; None if nobody knows.
+        remedy: what was kept and how to go on, in words.
 
     Raises:
         FailureError: the disk became full.
@@ -69,11 +71,9 @@ def explain_full_disk(folder: Path, missing: Callable[[], int]) -> Iterator[None
     except Exception as error:
         if not _tells_of_a_full_disk(error):
             raise
-        raise FailureError(
-            f"the disk of {folder} is full: {readable(missing())} are still to be written and "
-            f"{readable(bytes_free(folder))} are free; finished shards are kept: free some space and run the same "
-            "command with --resume true"
-        ) from error
+        needed = f"{readable(missing())} are still to be written and " if missing is not None else ""
+        free = f"{readable(bytes_free(folder))} are free"
+        raise FailureError(f"the disk of {folder} is full: {needed}{free}; {remedy}") from error
 
 
 def _tells_of_a_full_disk(error: BaseException | None) -> bool:

@@ -37,20 +37,21 @@ def repair(folder: Path, problems: Iterable[Problem], workers: int) -> None:
         workers: render processes.
 
     Raises:
-        FailureError: a shard came out otherwise than recorded.
+        FailureError: a shard came out otherwise than recorded, or the disk is full.
         UserError: nothing whole is left to tell what the dataset was, or something else has a shard's name.
     """
     files = dict.fromkeys(problem.file for problem in problems)
     try:
-        if MANIFEST in files:
-            _rebuild_manifest(folder, workers)
-            files = dict.fromkeys(problem.file for problem in shard_problems(folder, read_manifest(folder)))
-        manifest = read_manifest(folder)
-        write_json(folder / PLAN, manifest["config"])
-        numbers = {shard_file(number): number for number in range(len(manifest["shards"]))}
-        damaged = [numbers[file] for file in files if file in numbers]
-        if damaged:
-            _restore(folder, manifest, damaged, workers)
+        with explain_full_disk(folder, remedy="free some space and run the same command again"):
+            if MANIFEST in files:
+                _rebuild_manifest(folder, workers)
+                files = dict.fromkeys(problem.file for problem in shard_problems(folder, read_manifest(folder)))
+            manifest = read_manifest(folder)
+            write_json(folder / PLAN, manifest["config"])
+            numbers = {shard_file(number): number for number in range(len(manifest["shards"]))}
+            damaged = [numbers[file] for file in files if file in numbers]
+            if damaged:
+                _restore(folder, manifest, damaged, workers)
     finally:
         shutil.rmtree(folder / _ASIDE, ignore_errors=True)
 
@@ -118,10 +119,9 @@ def _render(folder: Path, config: GenDatasetConfig, shards: Collection[int], pla
     context = open_render_context(config)
     context.renderer.close()
     frames = len(shards) * config.episodes_per_shard * config.frames_per_episode
-    needed = bytes_needed(context.layout, frames, len(shards))
-    require_space(folder, needed)
+    require_space(folder, bytes_needed(context.layout, frames, len(shards)))
     elsewhere = dataclasses.replace(config, out=str(aside.absolute()))
-    with explain_full_disk(folder, lambda: needed), Progress(len(shards), "shards") as progress:
+    with Progress(len(shards), "shards") as progress:
         (aside / SHARDS).mkdir(parents=True)
         rendered = []
         with contextlib.closing(render_shards(elsewhere, shards, progress.say, plan)) as finished:

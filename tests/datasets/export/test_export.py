@@ -1,5 +1,6 @@
 """Exports, read back with other libraries and compared with the dataset's own points."""
 
+import errno
 import importlib.util
 import json
 from pathlib import Path
@@ -11,6 +12,7 @@ import trimesh
 
 from nerf_rl import cli
 from nerf_rl.cameras.geometry import camera_position, look_from, pixel_centres, pixel_directions
+from nerf_rl.datasets.export import export
 from nerf_rl.datasets.export.mesh import write_mesh
 from nerf_rl.datasets.export.seen import Seen
 from nerf_rl.datasets.storage.frames import Frame
@@ -195,6 +197,23 @@ def test_mistakes_are_told_in_a_sentence_and_nothing_is_written(
     assert cli.main(["export", str(dataset.folder), "--out", str(tmp_path / "out"), *arguments]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("kind", ["nerfstudio", "pointcloud"])
+def test_a_full_disk_is_told_in_a_sentence(
+    dataset: MultiViewDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], kind
+):
+    def full(*_: object, **__: object):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)  # of pictures
+    monkeypatch.setattr(export, "write_point_cloud", full)
+    out = tmp_path / "out"
+    assert cli.main(["export", str(dataset.folder), "--out", str(out), "--format", kind, "--frames", "[0]"]) == 1
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert f"the disk of {out} is full: " in said and "export with --overwrite true" in said and "--resume" not in said
+    monkeypatch.undo()
+    exported(dataset, out, "--frames", "[0]", "--overwrite", "true")
 
 
 def test_without_open3d_a_mesh_is_refused_with_what_to_install(

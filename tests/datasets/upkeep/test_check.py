@@ -1,5 +1,6 @@
 """Checking a dataset finds any damage and names it; repairing brings back the very bytes."""
 
+import errno
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -153,6 +154,20 @@ def test_what_has_the_name_of_a_shard_or_of_their_folder_is_told_before_anything
     (folder / SHARDS).write_text("")
     code, _, message = check("--repair", "true")
     assert code == 2 and f"{SHARDS} is no folder, and shards belong there; move it away" in message
+
+
+@pytest.mark.parametrize("step", ["write_json", "_render", "rename_durably"])
+def test_a_disk_that_becomes_full_in_a_repair_is_told_in_a_sentence(
+    folder: Path, check: Checked, monkeypatch: pytest.MonkeyPatch, step: str
+):
+    def full(*_: object):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    (folder / SECOND).unlink()
+    monkeypatch.setattr(repair, step, full)
+    code, _, message = check("--repair", "true", "--workers", "1")
+    assert code == 1 and f"the disk of {folder} is full: " in message.splitlines()[-1]
+    assert message.endswith("free some space and run the same command again\n")
 
 
 def test_a_shard_that_comes_out_otherwise_is_left_as_it_was(folder: Path, check: Checked):
