@@ -36,7 +36,11 @@ def check_output(
 
     Raises:
         OutputExistsError: the folder holds something and neither applies.
+        UserError: it, or a folder above it, is a link to what there is not.
     """
+    broken = next((path for path in (folder, *folder.parents) if path.is_symlink() and not path.exists()), None)
+    if broken is not None:
+        raise UserError(f"{broken} is a link to {broken.readlink()}, which there is not; make it, or use another --out")
     if not _in_use(folder) or (resume and (can_resume or _cut_off_early(folder, command))):
         return
     ours = (folder / PROVENANCE).is_file()

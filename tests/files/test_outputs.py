@@ -91,6 +91,17 @@ def test_an_output_that_is_a_file_is_refused_and_kept(foreign: Path):
     assert (foreign / "chapter.tex").read_text() == "years of work"
 
 
+@pytest.mark.parametrize("below", ["", "run"])
+def test_an_output_that_is_or_lies_below_a_link_to_nothing_is_told_in_a_sentence(tmp_path: Path, below: str):
+    (tmp_path / "link").symlink_to("nothing")
+    for overwrite in (False, True):
+        with pytest.raises(UserError, match=r"link is a link to nothing, which there is not; make it, or use another"):
+            outputs.prepare_output(tmp_path / "link" / below, overwrite)
+    (tmp_path / "nothing").mkdir()
+    outputs.prepare_output(tmp_path / "link" / below, overwrite=False)
+    assert (tmp_path / "nothing" / below).is_dir()
+
+
 def test_a_write_that_fails_leaves_the_old_file_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = tmp_path / "summary.json"
     outputs.write_text(path, "old")
