@@ -46,6 +46,8 @@ class CameraConfig:
     """vertical field of view [degrees]"""
 
     def __post_init__(self) -> None:
+        if not self.name:
+            raise UserError("a camera of rig.cameras has an empty name; give it one")
         label = f"camera '{self.name}'"
         _check_point(label, "lookat", self.lookat)
         _check_point(label, "position", self.position)

@@ -136,6 +136,11 @@ def test_settings_that_make_no_camera_are_refused(settings: dict, words: str):
         CameraConfig("a", **settings)
 
 
+def test_a_camera_without_a_name_is_refused():
+    with pytest.raises(UserError, match="has an empty name; give it one"):
+        CameraConfig("")
+
+
 def test_rigs_follow_bodies_that_have_a_name():
     with pytest.raises(UserError, match="auto, none"):
         RigConfig(follow="")
