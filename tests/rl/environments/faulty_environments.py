@@ -1,4 +1,4 @@
-"""Environments of one's own that do what no environment should, each at the fifth step of an episode."""
+"""Environments of one's own that do what no environment should, or succeed, at the fifth step of an episode."""
 
 import os
 from typing import Any
@@ -21,6 +21,7 @@ class FaultySlider(Slider):
         "success nan",
         "success text",
         "success two",
+        "success true",
         "percent",
         "exit",
     )
@@ -46,7 +47,12 @@ class FaultySlider(Slider):
         faulty = {"observation nan": np.array([0.0, np.nan]), "observation huge": np.array([1e300, 0.0])}
         observation = faulty.get(at, observation[:1] if at == "observation short" else observation)
         reward: Any = {"reward nan": float("nan"), "reward inf": np.inf, "reward two": np.zeros(2)}.get(at, -1.0)
-        success: Any = {"success nan": np.nan, "success text": "no", "success two": [True, False]}.get(at, False)
+        success: Any = {
+            "success nan": np.nan,
+            "success text": "no",
+            "success two": [True, False],
+            "success true": 1,
+        }.get(at, False)
         return observation, reward, False, False, {"success": success}
 
     def _get_obs(self) -> Any:
@@ -62,7 +68,7 @@ class FallingSlider(Slider):
 
 
 class ColumnGoalSlider(Slider):
-    """Its goals are columns, and its reward asks for a step's information if it is told to."""
+    """Its goals are columns, and its reward asks for a step's information if it is told to; it is never stepped."""
 
     def __init__(self, informed: bool = False):
         super().__init__()
@@ -76,7 +82,7 @@ class ColumnGoalSlider(Slider):
     def compute_reward(self, achieved: np.ndarray, desired: np.ndarray, info: dict) -> float:
         if self.informed:
             return float(info["grip"])
-        assert achieved.shape == desired.shape in ((1, 1), (1,))  # (1,): of this class's own step
+        assert achieved.shape == desired.shape == (1, 1)
         return -float(abs(achieved - desired).max() > 0.05)
 
     def _get_obs(self) -> dict[str, Any]:
