@@ -120,7 +120,7 @@ def test_nothing_pickled_is_read_from_a_run_folder(tmp_path: Path):
     assert evaluations(tmp_path)["timesteps"].tolist() == [6]
 
 
-@pytest.mark.parametrize("tail", [b"90", b"abc,def\n", b"\0\0\0\n", b"\xff\n", b"90,1.0\n"])
+@pytest.mark.parametrize("tail", [b"90", b"90" + b"," * 20, b"abc,def\n", b"\0\0\0\n", b"\xff\n", b"90,1.0\n"])
 def test_what_a_crash_leaves_behind_the_rows_of_metrics_does_not_hold_up_a_resumed_run(tail: bytes, tmp_path: Path):
     path = tmp_path / "metrics.csv"
     before = MetricsLog(path)
