@@ -2,6 +2,7 @@
 
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
@@ -69,9 +70,22 @@ def write_mesh(path: Path, seen: Seen, voxel: float) -> None:
     mesh = grid.extract_triangle_mesh(_LEAST_WEIGHT) if depth.any() else None
     if mesh is None or len(mesh.triangle.indices) == 0:
         raise UserError(f"frame {frame.index} shows no surface to fuse; raise --reach or --exclude fewer classes")
+    _write(path, mesh.to_legacy())
+
+
+def _write(path: Path, mesh: Any) -> None:
+    """Write Open3D's mesh with trimesh: Open3D's own writer reports success where the disk is full."""
+    import trimesh
+
+    surface = trimesh.Trimesh(
+        np.asarray(mesh.vertices),
+        np.asarray(mesh.triangles),
+        vertex_normals=np.asarray(mesh.vertex_normals),
+        vertex_colors=(np.asarray(mesh.vertex_colors) * 255).round().astype(np.uint8),
+        process=False,
+    )
     with atomic_write(path) as aside:
-        if not open3d.io.write_triangle_mesh(str(aside), mesh.to_legacy()):
-            raise OSError(f"{path} could not be written")
+        surface.export(aside, vertex_normal=True)
 
 
 def _truncation(seen: Seen, depth: Float32[ndarray, "V H W"], voxel: float) -> float:

@@ -3,6 +3,7 @@
 import errno
 import importlib.util
 import json
+import resource
 from pathlib import Path
 
 import cv2
@@ -167,6 +168,20 @@ def test_a_mesh_of_a_small_thing_is_as_large_as_the_thing(tmp_path: Path, classe
     outside = np.linalg.norm(vertices[vertices[:, 2] > -0.02], axis=1) - 0.04
     outside = outside[outside < 0.1]  # the floor beside
     assert abs(outside.mean()) < 0.002 and np.quantile(np.abs(outside), 0.95) < 0.006
+
+
+@needs_open3d
+def test_a_mesh_that_the_disk_cannot_hold_leaves_no_file(tmp_path: Path):
+    seen = Seen(ball_on_a_floor(0.04), 1.0, (0, 1))
+    write_mesh(tmp_path / "ball.ply", seen, 0.01)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, ((tmp_path / "ball.ply").stat().st_size - 1, limits[1]))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            write_mesh(tmp_path / "cut.ply", seen, 0.01)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert [path.name for path in tmp_path.iterdir()] == ["ball.ply"]
 
 
 @needs_open3d
