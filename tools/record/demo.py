@@ -16,6 +16,7 @@ from nerf_rl.files.atomic import write_text
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import PROVENANCE, SUMMARY
 from nerf_rl.pretrain.measures.figures import NETWORK, describe_error, describe_iou, describe_validation
+from nerf_rl.pretrain.reconstructions import newest_reconstruction
 from nerf_rl.report.contact_sheet import contact_sheet
 from nerf_rl.rl.training.curves import draw_learning_curve
 from tools.page_tables import markdown_table, replace_tables
@@ -45,8 +46,7 @@ def main() -> None:
     dataset = MultiViewDataset(STAGES["datasets"])
     sheet = contact_sheet(dataset, [len(dataset) // 3, 2 * len(dataset) // 3])
     cv2.imwrite("datasets/results/contact_sheet.png", sheet[..., ::-1])
-    newest = max((STAGES["pretrain"] / "reconstructions").glob("step_*.png"))
-    halved = cv2.imread(str(newest))[::2, ::2]  # one pixel each, to stay small
+    halved = cv2.imread(str(newest_reconstruction(STAGES["pretrain"])))[::2, ::2]  # one pixel each, to stay small
     cv2.imwrite("pretrain/results/reconstruction.png", halved)
     draw_learning_curve(Path("rl/results/demo.png"), results["rl"]["evaluations"], "make demo")
     tables = {
