@@ -4,6 +4,7 @@ Nothing heavy is imported until a sub-command is known and its arguments are val
 """
 
 import dataclasses
+import errno
 import importlib
 import sys
 import traceback
@@ -134,7 +135,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"nerf-rl {name}: interrupted", file=sys.stderr)
         return 130
-    except Exception:
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
+            print(f"nerf-rl {name}: {error.filename} is a longer name than the file system allows", file=sys.stderr)
+            return 2
         traceback.print_exc()
         return 1
     finally:

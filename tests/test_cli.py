@@ -103,6 +103,15 @@ def test_a_mistake_or_failure_is_one_sentence_and_a_bug_is_a_traceback(toy: str,
     assert "Traceback" in shown and "RuntimeError: ouch" in shown
 
 
+@pytest.mark.parametrize("words", [["check"], ["view"], ["train-rl", "--out"]])
+def test_a_name_longer_than_the_file_system_allows_is_a_sentence(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert cli.main([*words, str(tmp_path / ("x" * 300))]) == 2
+    (said,) = capsys.readouterr().err.splitlines()
+    assert "x" * 300 in said
+
+
 def test_the_process_exits_with_the_code_of_main():
     finished = subprocess.run([sys.executable, "-m", "nerf_rl.cli", "fly"], capture_output=True, text=True)
     assert finished.returncode == 2
