@@ -75,6 +75,7 @@ def fit(config: PretrainConfig, dataset: MultiViewDataset, folder: Path, checkpo
     Raises:
         KeyboardInterrupt: the user interrupted; the last checkpoint stays.
         NotFiniteError: a step's gradient is not finite; the last checkpoint stays.
+        SpoiltWeightsError: the latents, or the field's colours, are not; it stays, too.
         OutOfMemoryError: there is not enough memory for a step.
         LostProcessError: another process that shares the run has gone.
     """

@@ -30,8 +30,12 @@ def pretrain(config: PretrainConfig) -> None:
             dataset lacks, nothing to learn from, devices that there are not, or an output folder in use.
     """
     dataset = MultiViewDataset(config.data)
-    if min(len(dataset.split(name)) for name in SPLIT_NAMES) < 2:  # probes need two
-        raise UserError(f"{config.data} needs training and validation frames; generate more than one episode")
+    kept, held = (len(dataset.split(name)) for name in SPLIT_NAMES)
+    if min(kept, held) < 2:  # probes need two
+        raise UserError(
+            f"{config.data} needs training and validation frames, two of each at least, and has {kept} and {held}; "
+            "generate more episodes"
+        )
     EncoderRig.of_dataset(dataset)
     require_modalities(dataset, config)
     for name in config.teachers:
@@ -56,7 +60,6 @@ def pretrain(config: PretrainConfig) -> None:
             require_learnable(dataset, config)
         prepare_output(folder, config.overwrite, config.resume, resumable, "pretrain")
         write_provenance(folder, "pretrain", config)
-        kept, held = (len(dataset.split(name)) for name in SPLIT_NAMES)
         print(f"training on {kept} frames of {config.data}, {held} more held out; writing to {folder}", flush=True)
     checkpoint = folder / CHECKPOINT if config.resume and resumable else None
     if rank is None and config.processes > 1:

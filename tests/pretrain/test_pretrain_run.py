@@ -232,7 +232,8 @@ def test_a_dataset_that_does_not_suit_is_refused_and_nothing_is_written(
 ):
     monkeypatch.setattr(MultiViewDataset, "split", lambda self, name: np.arange(12 if name == "train" else 0))
     assert pretrain(tiny_pretraining_recipe, tiny_dataset, tmp_path / "run") == 2
-    assert "needs training and validation frames" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "needs training and validation frames, two of each at least, and has 12 and 0; generate more" in said
     assert not list(tmp_path.iterdir())
 
 

@@ -6,6 +6,7 @@ from nerf_rl.errors import FailureError
 
 FAILED_BATCH = "failed_batch.json"
 _OUT_OF_MEMORY = ("out of memory", "can't allocate memory", "DefaultCPUAllocator")
+_KEPT = "the last checkpoint, if there is one, is from before"
 _KEYS = "--scenes_per_step, --rays_per_scene, --sampling.* or --radiance_field.width"
 
 
@@ -17,7 +18,16 @@ class NotFiniteError(FailureError):
         named = ", ".join(f"{name} {value:.3g}" for name, value in losses.items())
         super().__init__(
             f"the gradient of step {step} is not finite ({named}), so it was not taken: {FAILED_BATCH} names its "
-            "frames and checkpoints/last.ckpt is from before; look at those frames, or begin anew with a lower "
+            f"frames, and {_KEPT}; look at those frames, or begin anew with a lower --learning_rate or --precision 32"
+        )
+
+
+class SpoiltWeightsError(FailureError):
+    """The gradients were finite, and yet what the weights compute is not; the last checkpoint is from before."""
+
+    def __init__(self, step: int, what: str):
+        super().__init__(
+            f"the run diverged: after step {step} {what} are not finite; {_KEPT}; begin anew with a lower "
             "--learning_rate or --precision 32"
         )
 

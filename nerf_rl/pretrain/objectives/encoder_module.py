@@ -15,7 +15,7 @@ from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.data.anchors import Anchors
 from nerf_rl.pretrain.execution.distributed import mean_over_processes, of_first_process
-from nerf_rl.pretrain.execution.faults import NotFiniteError
+from nerf_rl.pretrain.execution.faults import NotFiniteError, SpoiltWeightsError
 from nerf_rl.pretrain.measures.latent_statistics import FRAMES, FRAMES_IN_TRAINING, measure_latents
 from nerf_rl.pretrain.model.checkpoint_file import ENCODER
 from nerf_rl.pretrain.model.encoder import Encoder
@@ -186,12 +186,17 @@ class EncoderModule(lightning.LightningModule):
 
         Those are the time spent and the last validation; its description, and the statistics of its latents, which
         belong to these very weights.
+
+        Raises:
+            SpoiltWeightsError: the latents are not finite.
         """
         checkpoint["seconds"], checkpoint["validation"] = self.seconds, self.judged
         classes = {"classes": list(self._dataset.class_names), "palette": self.palette.tolist()}
         checkpoint[ENCODER] = {**self.encoder.describe(), **classes}
         frames = FRAMES if self.progress() >= 1.0 else FRAMES_IN_TRAINING
         mean, deviation = measure_latents(self.encoder, self._dataset, frames)
+        if not (mean + deviation).isfinite().all():
+            raise SpoiltWeightsError(self.global_step, "the encoder's latents")
         checkpoint["state_dict"] |= {"encoder.latent_mean": mean, "encoder.latent_std": deviation}
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:

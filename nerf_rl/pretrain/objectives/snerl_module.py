@@ -16,6 +16,7 @@ from nerf_rl.pretrain.data.batches import RayBatch
 from nerf_rl.pretrain.data.data_module import NO_FRAME
 from nerf_rl.pretrain.data.statistics import Statistics
 from nerf_rl.pretrain.data.teachers import find_teacher
+from nerf_rl.pretrain.execution.faults import SpoiltWeightsError
 from nerf_rl.pretrain.execution.placement import choose_strategy
 from nerf_rl.pretrain.execution.side_by_side import Shares, equal_shares
 from nerf_rl.pretrain.execution.step_graph import StepGraph
@@ -195,11 +196,17 @@ class SnerlModule(EncoderModule):
             measures.update(self._render(latent, int(frame), role), self.truth(int(frame), role))
 
     def on_validation_epoch_end(self) -> None:
-        """Log the figures of the held-out frames, those of all processes together."""
+        """Log the figures of the held-out frames, those of all processes together.
+
+        Raises:
+            SpoiltWeightsError: the field's colours are not finite.
+        """
         found = {role: measures.compute() for role, measures in self._measures.items()}
         for role, pictures in found.items():
             if pictures is None:
                 return
+            if pictures.figures["psnr_db"] is None:
+                raise SpoiltWeightsError(self.global_step, "the field's colours")
             if LABELS in self._dataset.absent:
                 pictures = PictureFigures({**pictures.figures, "miou": None}, {}, {})
             if role == ENCODER_CAMERAS:
@@ -209,7 +216,8 @@ class SnerlModule(EncoderModule):
             folder = "validation" if role == ENCODER_CAMERAS else f"validation_{role}"
             known = {f"{folder}/{name}": value for name, value in pictures.figures.items() if value is not None}
             self.log_dict(known, rank_zero_only=True)
-        self.validated_step = self.global_step
+        if not self.trainer.sanity_checking:  # that looks at one frame
+            self.validated_step = self.global_step
         if self.config.stop_when and self._is_fitting:
             self.judged = dict(self.validation)
             if self.is_good_enough():

@@ -56,6 +56,26 @@ def test_a_gradient_that_is_not_finite_ends_the_run_before_it_is_taken(
 
 
 @pytest.mark.parametrize(
+    "objective, what", [("field", "the field's colours"), ("autoencoder", "the encoder's latents")]
+)
+def test_weights_that_compute_no_numbers_end_the_run_before_they_are_kept(
+    objective: str,
+    what: str,
+    tiny_dataset: Path,
+    tiny_pretraining_recipe: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+):
+    words = ["--objective", objective, "--learning_rate", "1e30", "--steps_per_epoch", "1"]
+    if objective == "field":
+        words += ["--epochs_per_validation", "1"]
+    assert pretrain(tiny_pretraining_recipe, tiny_dataset, tmp_path / "run", *words) == 1
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert f"the run diverged: after step 1 {what} are not finite" in said and "lower --learning_rate" in said
+    assert not list((tmp_path / "run").rglob("last.ckpt")) and not (tmp_path / "run/summary.json").exists()
+
+
+@pytest.mark.parametrize(
     "error",
     [
         torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 20.00 GiB."),
@@ -143,3 +163,19 @@ def test_a_run_that_was_good_enough_stays_at_its_end_when_it_is_resumed(
         assert pretrain(*words, goal, "--resume", "true") == 0
         summary = json.loads((tmp_path / "run/summary.json").read_text())
         assert summary["steps"] == steps and summary["class_iou"]
+
+
+def test_a_run_without_time_for_a_step_is_measured_on_all_held_out_frames(
+    tiny_dataset: Path, tiny_pretraining_recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    seen = []
+    validate = SnerlModule.validation_step
+
+    def count(self: SnerlModule, frame: int, step: int) -> None:
+        seen.append(int(frame))
+        validate(self, frame, step)
+
+    monkeypatch.setattr(SnerlModule, "validation_step", count)
+    assert pretrain(tiny_pretraining_recipe, tiny_dataset, tmp_path / "run", "--max_minutes", "1e-6") == 0
+    assert json.loads((tmp_path / "run/summary.json").read_text())["steps"] == 0
+    assert len(set(seen)) == 2  # Lightning's check before training looks at the first alone
