@@ -107,6 +107,11 @@ def _train(config: TrainRLConfig, goal_task: "GoalTask | None", envs: Any, recor
 
     trainer = Trainer(config, envs, Path(config.out), goal_task)
     pauses = (config.evaluation_every, config.checkpoint_every)
+
+    def evaluate(episodes: int) -> None:
+        progress.say(describe(trainer.evaluate(episodes), trainer.seconds))
+        record.keep(trainer.agent.policy(), config.network, trainer)
+
     try:
         with (
             closed_at_end(trainer.metrics.loggers),
@@ -116,13 +121,15 @@ def _train(config: TrainRLConfig, goal_task: "GoalTask | None", envs: Any, recor
             while not trainer.finished:
                 before = trainer.env_steps
                 trainer.train(progress, min(config.env_steps, *((before // every + 1) * every for every in pauses)))
-                last = trainer.finished
-                if last or trainer.env_steps // config.evaluation_every > before // config.evaluation_every:
-                    result = trainer.evaluate(config.final_evaluation_episodes if last else config.evaluation_episodes)
-                    progress.say(describe(result, trainer.seconds))
-                    record.keep(trainer.agent.policy(), config.network, trainer)
-                if last or trainer.env_steps // config.checkpoint_every > before // config.checkpoint_every:
+                if trainer.finished:
+                    break
+                if trainer.env_steps // config.evaluation_every > before // config.evaluation_every:
+                    evaluate(config.evaluation_episodes)
+                if trainer.env_steps // config.checkpoint_every > before // config.checkpoint_every:
                     trainer.save()
+            if not trainer.evaluations or trainer.evaluations[-1]["env_steps"] < trainer.env_steps:
+                evaluate(config.final_evaluation_episodes)  # also of a run that is to end where it was interrupted
+                trainer.save()
         return record.finish(trainer, trainer.agent.updates, envs.processes, trainer.demonstrations.cost)
     finally:
         trainer.replay.close()

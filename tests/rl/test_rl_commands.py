@@ -18,11 +18,13 @@ from nerf_rl.errors import FailureError, UserError
 from nerf_rl.files.outputs import write_provenance
 from nerf_rl.pictures.video import write_mp4
 from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.progress import Progress
 from nerf_rl.rl.agents.policy import Policy
 from nerf_rl.rl.environments.make import EnvSpec, make_env
 from nerf_rl.rl.environments.observation import LatentObservation
 from nerf_rl.rl.rollout import film, rollout
 from nerf_rl.rl.train import train_rl
+from nerf_rl.rl.training.loop import Trainer
 from nerf_rl.scenes.make import make_scene
 
 SHORT = ["--env_steps", "120", "--warmup_steps", "40", "--episode_steps", "20", "--learner.batch_size", "8"]
@@ -157,6 +159,39 @@ def test_a_run_on_the_true_state_resumes_and_evaluates(tmp_path: Path) -> None:
     assert [e["env_steps"] for e in summary["evaluations"]] == [80, 120, 140]
     assert rollout(out, view_size=32).images is None
     assert cli.main(["train-rl", "--out", str(out), *SHORT]) == 2
+
+
+def test_a_run_that_is_to_end_where_it_was_interrupted_is_evaluated_and_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    keys = ["train-rl", "--out", str(tmp_path / "run"), *SHORT, "--envs", "1", "--checkpoint_every", "30"]
+    train = Trainer.train
+
+    def interrupted(self: Trainer, progress: Progress, until: int) -> None:
+        if self.env_steps >= 60:
+            raise KeyboardInterrupt
+        train(self, progress, until)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Trainer, "train", interrupted)
+        assert cli.main(keys) == 130
+    assert not (tmp_path / "run/policy.json").exists()
+    assert cli.main([*keys, "--env_steps", "50", "--resume", "true"]) == 0
+    summary = json.loads((tmp_path / "run/summary.json").read_text())
+    assert [(e["env_steps"], e["episodes"]) for e in summary["evaluations"]] == [(60, 3)]
+    assert Policy.load(tmp_path / "run").env_steps == 60
+    before = (tmp_path / "run/summary.json").read_text()
+    assert cli.main([*keys, "--env_steps", "60", "--resume", "true"]) == 0
+    after = json.loads((tmp_path / "run/summary.json").read_text())
+    assert after["evaluations"] == json.loads(before)["evaluations"]  # it is not evaluated once more
+
+
+@pytest.mark.parametrize("keys", [["--algo", "ppo"], ["--learner.n_step", "20", "--action_repeat", "1"]])
+def test_a_run_without_an_update_says_so(keys: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--env_steps", "64", "--episode_steps", "80", "--envs", "4"]
+    assert cli.main(["train-rl", "--out", str(tmp_path / "run"), *SHORT, *words, *keys]) == 0
+    assert json.loads((tmp_path / "run/summary.json").read_text())["updates"] == 0
+    assert "warning: nothing was learnt in 64 env steps: there was no update" in capsys.readouterr().err
 
 
 def test_a_checkpoint_of_agents_that_observed_something_else_is_not_gone_on_with(

@@ -1,5 +1,6 @@
 """What a run leaves behind while it goes on and at its end: policy, learning curve and ``summary.json``."""
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
@@ -88,6 +89,8 @@ class RunRecord:
             workers: processes of the environments.
             demonstrated: what the demonstrations cost, whose environment steps are part of the run's.
         """
+        if updates == 0:
+            print(f"warning: nothing was learnt in {state.env_steps} env steps: there was no update", file=sys.stderr)
         shown = {} if demonstrated is None else {DEMONSTRATIONS: {**demonstrated, "in_env_steps": True}}
         summary = {
             "env_steps": state.env_steps,
