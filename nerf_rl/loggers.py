@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from nerf_rl.errors import UnknownNameError
+from nerf_rl.errors import UnknownNameError, UserError
 from nerf_rl.machine.extras import find_named, import_extra, make_named
 
 if TYPE_CHECKING:
@@ -32,12 +32,15 @@ def check_loggers(names: Sequence[str]) -> None:
 
 
 def require_loggers(names: Sequence[str]) -> None:
-    """Raise UserError if an extra is not installed or a logger of the user's own is not there; nothing is written."""
+    """Raise UserError if an extra is not installed or a class of the user's own is no logger; nothing is written."""
     for name in names:
         if name in (WANDB, MLFLOW):
             import_extra(name, name, f"--loggers {name}")  # package and extra have the logger's name
         elif name not in NAMES:
-            find_named("logger", name)
+            found = find_named("logger", name)
+            missing = [part for part in ("log_metrics", "save", "finalize") if not hasattr(found, part)]
+            if isinstance(found, type) and missing:
+                raise UserError(f"'{name}' is no logger: it lacks {', '.join(missing)}")
 
 
 @runtime_checkable

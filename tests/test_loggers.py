@@ -80,6 +80,7 @@ def test_a_logger_of_ones_own_stands_in_a_file_outside_the_package(
         ),
         ("nowhere:Logger", "logger 'nowhere:Logger' cannot be had: ModuleNotFoundError: No module named 'nowhere'"),
         ("json:Logger", "logger 'json:Logger' cannot be had: AttributeError: module 'json' has no attribute 'Logger'"),
+        ("pathlib:Path", "'pathlib:Path' is no logger: it lacks log_metrics, save, finalize"),
     ],
 )
 def test_a_logger_that_there_is_not_is_told_before_anything_is_written(

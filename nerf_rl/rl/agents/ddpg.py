@@ -228,6 +228,8 @@ class DDPG:
             distance = self._distance(batch)
         self._step(self.actor_optimiser, distance)
         self._slow_actor.follow()
+        if self._average:
+            self._average.follow()
         return metrics | {"clone_error": distance.item()}
 
     def _imitation(

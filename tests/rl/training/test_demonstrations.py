@@ -194,6 +194,20 @@ def test_the_actor_is_cloned_when_the_warm_up_is_over(envs: AsyncVectorEnv, tmp_
     trainer.replay.close()
 
 
+def test_the_average_that_is_kept_follows_the_actor_that_is_cloned(envs: AsyncVectorEnv, tmp_path: Path) -> None:
+    made = config(tmp_path)
+    made.learner.policy_average = 20
+    trainer = Trainer(made, envs, tmp_path)
+    demonstrate(trainer)
+    train(trainer, trainer.env_steps + 104)
+    shown = trainer.replay.sample_demonstrations()
+    with torch.no_grad():
+        kept = (trainer.agent.policy()(shown.observation) - shown.action).square().mean()
+        cloned = (trainer.agent.actor(trainer.agent.norm(shown.observation)) - shown.action).square().mean()
+    assert kept < 1.5 * cloned
+    trainer.replay.close()
+
+
 def test_the_pull_of_demonstrations_falls_to_nothing(envs: AsyncVectorEnv, tmp_path: Path) -> None:
     made = config(tmp_path)
     made.learner.clone_updates = 100
