@@ -45,7 +45,8 @@ class Progress:
         if now - self._last_line >= self._pause or self._done >= self._total:
             self._last_line = now
             rate = (self._done - self._initial) / max(now - self._start, 1e-9)
-            remaining = min((self._total - self._done) / rate if rate > 0 else math.inf, most_seconds)
+            left = max(self._total - self._done, 0)  # several environments at once may do a few steps more
+            remaining = min(left / rate if rate > 0 else math.inf, most_seconds)
             line = f"{self._done}/{self._total} {self._unit}, {rate:.1f}/s, {remaining:.0f} s left"
             print(f"{line}  {note()}".rstrip(), flush=True)
 
