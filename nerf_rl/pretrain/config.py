@@ -54,6 +54,17 @@ class EncoderConfig:
         if not self.channels:
             raise UserError("--encoder.channels must name a convolution or more")
 
+    def cells(self, pixels: int) -> int:
+        """Return how many places are left along a side of an image of so many pixels after the convolutions.
+
+        Raises:
+            UserError: the image is smaller than a patch.
+        """
+        if pixels < self.patch:
+            raise UserError(f"--encoder.patch {self.patch} is larger than images of {pixels} pixels")
+        halved = len(self.channels) - 1
+        return -(-(pixels // self.patch) // 2**halved)  # each rounds up, which is the same as once in the end
+
 
 @dataclass
 class FieldConfig:

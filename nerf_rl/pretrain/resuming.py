@@ -12,10 +12,11 @@ import lightning
 import torch
 from torch import Tensor
 
-from nerf_rl.errors import BEGIN_ANEW, MissingFileError
+from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.errors import BEGIN_ANEW, MissingFileError, UserError
 from nerf_rl.files.structure import StructureError, mapping, number, table, text, whole
 from nerf_rl.files.tensor_files import tensor_fault
-from nerf_rl.pretrain.model.checkpoint_file import read_checkpoint
+from nerf_rl.pretrain.model.checkpoint_file import DATASET, read_checkpoint
 
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 _STRUCTURE = mapping(
@@ -55,6 +56,18 @@ def require_resumable(path: Path, module: lightning.LightningModule, trainer: li
         _check_optimiser(checkpoint, module)
     except ValueError as error:
         raise MissingFileError("a checkpoint to go on from", path, str(error), BEGIN_ANEW) from error
+
+
+def require_same_dataset(path: Path, dataset: MultiViewDataset) -> None:
+    """Check that a checkpoint is of a dataset, wherever that lies by now; those of earlier versions do not tell.
+
+    Raises:
+        MissingFileError: it is damaged.
+        UserError: it is of another dataset, where things look otherwise or are elsewhere.
+    """
+    digest = dataset.digest()
+    if read_checkpoint(path).get(DATASET, digest) != digest:
+        raise UserError(f"{path} is of another dataset than {dataset.folder}; give that one, or use another --out")
 
 
 def _check_loops(found: Any, trainer: lightning.Trainer) -> None:

@@ -27,7 +27,8 @@ def pretrain(config: PretrainConfig) -> None:
 
     Raises:
         UserError: no dataset, too few frames, cameras that do not move together, depth or labels that an imported
-            dataset lacks, nothing to learn from, devices that there are not, or an output folder in use.
+            dataset lacks, nothing to learn from, pictures smaller than a patch, devices that there are not, an output
+            folder in use, or another dataset than the run was begun on.
     """
     dataset = MultiViewDataset(config.data)
     kept, held = (len(dataset.split(name)) for name in SPLIT_NAMES)
@@ -36,7 +37,8 @@ def pretrain(config: PretrainConfig) -> None:
             f"{config.data} needs training and validation frames, two of each at least, and has {kept} and {held}; "
             "generate more episodes"
         )
-    EncoderRig.of_dataset(dataset)
+    rig = EncoderRig.of_dataset(dataset)
+    config.encoder.cells(min(rig.height, rig.width))
     require_modalities(dataset, config)
     for name in config.teachers:
         find_teacher(name)
@@ -51,7 +53,10 @@ def pretrain(config: PretrainConfig) -> None:
     resumable = (folder / CHECKPOINT).is_file()
     if not rank:  # the first of several processes, or the only one
         if config.resume and resumable:
+            from nerf_rl.pretrain.resuming import require_same_dataset  # it imports PyTorch
+
             require_same_keys(folder, config.content(), PretrainConfig)
+            require_same_dataset(folder / CHECKPOINT, dataset)
         require_outside(folder, config.data)
         check_output(folder, config.overwrite, config.resume, resumable, "pretrain")
         if not (config.resume and resumable):

@@ -158,6 +158,27 @@ def test_training_that_was_killed_resumes_to_the_same_bits(
         assert resumed[key] == uninterrupted[key]
 
 
+def test_a_run_goes_on_with_its_own_dataset_alone_wherever_that_lies(
+    tiny_encoder: Path,
+    tiny_dataset: Path,
+    tiny_recipe: Path,
+    tiny_pretraining_recipe: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+):
+    other = ["gen-dataset", "--config", str(tiny_recipe), "--seed", "4", "--out", str(tmp_path / "other")]
+    assert cli.main(other) == 0
+    run = shutil.copytree(tiny_encoder, tmp_path / "run")
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    longer = ["--steps", "8", "--resume", "true"]
+    assert pretrain(tiny_pretraining_recipe, tmp_path / "other", run, *longer) == 2
+    said = capsys.readouterr().err
+    assert f"last.ckpt is of another dataset than {tmp_path / 'other'}; give that one" in said
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+    moved = shutil.copytree(tiny_dataset, tmp_path / "moved")
+    assert pretrain(tiny_pretraining_recipe, moved, run, *longer) == 0
+
+
 def test_an_export_that_was_cut_off_leaves_no_encoder_with_the_figures_of_an_earlier_one(
     tiny_encoder: Path,
     tiny_dataset: Path,
@@ -253,6 +274,7 @@ def test_an_existing_run_is_refused_and_left_alone(
         (["--sampling.near", "0.001", "--sampling.far", "0.01"], "nothing is nearer than --sampling.far 0.010"),
         (["--objective", "anchors", "--losses.anchor", "0"], "shows no class that moves"),
         (["--objective", "supervised"], "no column of the true state"),
+        (["--encoder.patch", "25"], "--encoder.patch 25 is larger than images of 24 pixels"),
     ],
 )
 def test_what_cannot_be_learnt_from_costs_no_run_that_it_would_replace(

@@ -17,6 +17,8 @@ from nerf_rl.errors import MissingFileError
 _REMEDY = "take it from where it was made, or train again"
 ENCODER = "encoder"
 """where a checkpoint keeps the description of its encoder, as in ``encoder.json``"""
+DATASET = "dataset"
+"""where it keeps the digest of the dataset that it was trained on"""
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:

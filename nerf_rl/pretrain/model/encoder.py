@@ -73,7 +73,7 @@ class Encoder(nn.Module):
         for before, after in pairwise(widths):
             blocks += [nn.Conv2d(before, after, 3, stride=2, padding=1), _ChannelNorm(after), nn.ReLU()]
         self.convolutions = nn.Sequential(*blocks)
-        flat, width = widths[-1] * _cells(rig.height, config) * _cells(rig.width, config), config.hidden
+        flat, width = widths[-1] * config.cells(rig.height) * config.cells(rig.width), config.hidden
         self.per_view = nn.Sequential(*_hidden(flat + 12, width), *_hidden(width, width))
         self.merged = nn.Sequential(*_hidden(width, width), nn.Linear(width, config.latent))
         looks = config.landmarks and landmarks > 0
@@ -209,18 +209,6 @@ def _in_parts(projections: Float[Tensor, "B V 3 4"], width: int, height: int) ->
     """Return camera matrices that project to parts of a picture's width and height instead of pixels."""
     across, down, depth = projections.unbind(2)
     return torch.stack([across / width, down / height, depth], 2)
-
-
-def _cells(pixels: int, config: EncoderConfig) -> int:
-    """Return how many places are left along a side of an image after the convolutions.
-
-    Raises:
-        UserError: the image is smaller than a patch.
-    """
-    if pixels < config.patch:
-        raise UserError(f"--encoder.patch {config.patch} is larger than images of {pixels} pixels")
-    halved = len(config.channels) - 1
-    return -(-(pixels // config.patch) // 2**halved)  # each rounds up, which is the same as once in the end
 
 
 def _hidden(before: int, after: int) -> list[nn.Module]:

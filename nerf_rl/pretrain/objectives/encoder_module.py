@@ -17,7 +17,7 @@ from nerf_rl.pretrain.data.anchors import Anchors
 from nerf_rl.pretrain.execution.distributed import mean_over_processes, of_first_process
 from nerf_rl.pretrain.execution.faults import NotFiniteError, SpoiltWeightsError
 from nerf_rl.pretrain.measures.latent_statistics import FRAMES, FRAMES_IN_TRAINING, measure_latents
-from nerf_rl.pretrain.model.checkpoint_file import ENCODER
+from nerf_rl.pretrain.model.checkpoint_file import DATASET, ENCODER
 from nerf_rl.pretrain.model.encoder import Encoder
 from nerf_rl.pretrain.model.encoder_file import SIMULATORS
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
@@ -182,15 +182,16 @@ class EncoderModule(lightning.LightningModule):
         return self._dataset.palette
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Keep what schedule and end may depend on, and what makes the encoder usable by itself.
+        """Keep what schedule and end may depend on, what was learnt from, and what makes the encoder usable by itself.
 
-        Those are the time spent and the last validation; its description, and the statistics of its latents, which
-        belong to these very weights.
+        Those are the time spent and the last validation; the dataset's digest; the encoder's description, and the
+        statistics of its latents, which belong to these very weights.
 
         Raises:
             SpoiltWeightsError: the latents are not finite.
         """
         checkpoint["seconds"], checkpoint["validation"] = self.seconds, self.judged
+        checkpoint[DATASET] = self._dataset.digest()
         classes = {"classes": list(self._dataset.class_names), "palette": self.palette.tolist()}
         checkpoint[ENCODER] = {**self.encoder.describe(), **classes}
         frames = FRAMES if self.progress() >= 1.0 else FRAMES_IN_TRAINING
