@@ -76,7 +76,7 @@ def fit(config: PretrainConfig, dataset: MultiViewDataset, folder: Path, checkpo
         KeyboardInterrupt: the user interrupted; the last checkpoint stays.
         NotFiniteError: a step's gradient is not finite; the last checkpoint stays.
         SpoiltWeightsError: the latents, or the field's colours, are not; it stays, too.
-        OutOfMemoryError: there is not enough memory for a step.
+        OutOfMemoryError: there is not enough memory for the networks, or for a step.
         LostProcessError: another process that shares the run has gone.
     """
     accelerator = choose_accelerator(config.accelerator, config.devices)
@@ -120,12 +120,12 @@ def fit(config: PretrainConfig, dataset: MultiViewDataset, folder: Path, checkpo
         enable_model_summary=False,
     )
     data = MultiViewDataModule(dataset, config, trainer.global_rank, trainer.world_size, accelerator == "cuda")
-    module = make_module(config, dataset, data, threads if accelerator == "cpu" else 1)
-    if checkpoint is not None:
-        require_resumable(checkpoint, module, trainer)
-    if trainer.is_global_zero and (data.statistics.anchors.classes or data.statistics.anchors.seldom):
-        print(data.statistics.anchors.describe(dataset.class_names), flush=True)
     try:
+        module = make_module(config, dataset, data, threads if accelerator == "cpu" else 1)
+        if checkpoint is not None:
+            require_resumable(checkpoint, module, trainer)
+        if trainer.is_global_zero and (data.statistics.anchors.classes or data.statistics.anchors.seldom):
+            print(data.statistics.anchors.describe(dataset.class_names), flush=True)
         with closed_at_end(loggers):
             if config.objective != RANDOM:
                 trainer.fit(module, data, ckpt_path=checkpoint, weights_only=True)

@@ -123,29 +123,40 @@ class RayBatches(Dataset):
 
         Pixels that do not count, or show what is before the beginning of rays, have no weight; all count if ``valid``
         is None. Each scene's rays are drawn from a uniform sample of its pixels, which is much larger than the number
-        of rays.
+        of rays, or from all of them where none in the sample counts.
         """
         scenes, rays = self._config.scenes_per_step, self._config.rays_per_scene
         area = semantic[0, 0].size
         candidates = rng.integers(len(self._views) * area, size=(scenes, rays * _CANDIDATES_PER_RAY))[self._share]
-        place = np.take(self._views, candidates // area) * area + candidates % area
 
-        def shown(images: ndarray) -> ndarray:
-            return np.take_along_axis(images.reshape(len(images), -1), place, axis=1)
+        def weigh(scenes: slice, candidates: ndarray) -> tuple[ndarray, ndarray]:
+            place = np.take(self._views, candidates // area) * area + candidates % area
 
-        weights = self._statistics.class_weights.take(shown(semantic))
-        weights *= self._statistics.pixel_weights.take(candidates)
-        weights *= shown(depth) >= self._nearest
-        if valid is not None:
-            weights *= shown(valid)
-        cumulative = np.cumsum(weights, axis=1)
-        levels = rng.random((scenes, rays))[self._share] * cumulative[:, -1:]
-        drawn = np.stack(
-            [np.searchsorted(row, level, side="right") for row, level in zip(cumulative, levels, strict=True)]
-        )
-        pixel = np.take_along_axis(place, np.minimum(drawn, place.shape[1] - 1), axis=1).ravel()
-        view, row, column = np.unravel_index(pixel, semantic.shape[1:])
+            def shown(images: ndarray) -> ndarray:
+                return np.take_along_axis(images[scenes].reshape(len(place), -1), place, axis=1)
+
+            weights = self._statistics.class_weights.take(shown(semantic))
+            weights *= self._statistics.pixel_weights.take(candidates)
+            weights *= shown(depth) >= self._nearest
+            if valid is not None:
+                weights *= shown(valid)
+            return place, np.cumsum(weights, axis=1)
+
+        place, cumulative = weigh(WHOLE, candidates)
+        chances = rng.random((scenes, rays))[self._share]
+        picked = [_pick(own, sums, chance) for own, sums, chance in zip(place, cumulative, chances, strict=True)]
+        pixel = np.stack(picked)
+        for scene in np.flatnonzero(cumulative[:, -1] == 0):
+            place, cumulative = weigh(slice(scene, scene + 1), np.arange(len(self._views) * area)[None])
+            pixel[scene] = _pick(place[0], cumulative[0], chances[scene])
+        view, row, column = np.unravel_index(pixel.ravel(), semantic.shape[1:])
         return np.repeat(np.arange(len(semantic)), rays), view, row, column
+
+
+def _pick(place: Int[ndarray, "N"], cumulative: Float[ndarray, "N"], chances: Float[ndarray, "R"]) -> Int[ndarray, "R"]:
+    """Return the places that some chances in [0, 1) fall on, by the cumulative sums of their weights."""
+    drawn = np.searchsorted(cumulative, chances * cumulative[-1], side="right")
+    return place[np.minimum(drawn, len(place) - 1)]
 
 
 def step_random(config: PretrainConfig, step: int) -> np.random.Generator:

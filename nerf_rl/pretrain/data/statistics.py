@@ -158,7 +158,12 @@ def _as_if_looked_at(pixels: _Pixels, poses: Float[ndarray, "N V 4 4"], config: 
 
 
 def _is_hit(pixels: _Pixels, dataset: MultiViewDataset) -> Bool[ndarray, "M"]:
-    """Tell which pixels show anything: where nothing is, depth is that of the renderer's far plane."""
+    """Tell which pixels show anything: where nothing is, depth is that of the renderer's far plane.
+
+    Where depth is made up, pictures do not tell that anything is not there.
+    """
+    if DEPTH in dataset.absent:
+        return np.ones(len(pixels.depth), np.bool_)
     return pixels.depth < _HIT * dataset.manifest["far"]
 
 

@@ -90,9 +90,20 @@ def find_teacher(name: str) -> Teacher:
 
 
 def teacher_features(names: Sequence[str], views: Views, pixels: Pixels) -> Float[ndarray, "M F"]:
-    """Return the features of pixels by several teachers, one after another; no feature at all by none."""
-    found = [find_teacher(name).features(views, pixels) for name in names]
-    return np.concatenate([np.zeros((len(pixels.image), 0)), *found], axis=1).astype(np.float32)
+    """Return the features of pixels by several teachers, one after another; no feature at all by none.
+
+    Raises:
+        UserError: a teacher gives other than as many features as it says for each pixel.
+    """
+    count = len(pixels.image)
+    found = [np.zeros((count, 0))]
+    for name in names:
+        teacher = find_teacher(name)
+        features = np.asarray(teacher.features(views, pixels))
+        if features.shape != (count, teacher.width):
+            raise UserError(f"teacher '{name}' gave features {features.shape} where {(count, teacher.width)} were due")
+        found.append(features)
+    return np.concatenate(found, axis=1).astype(np.float32)
 
 
 def surface_normals(

@@ -171,8 +171,10 @@ class SnerlModule(EncoderModule):
         self._divide(is_training=False)
 
     def on_validation_end(self) -> None:
-        """Leave them undivided again."""
+        """Leave them undivided again, and forget the check before training."""
         super().on_validation_end()
+        if self.trainer.sanity_checking:
+            self.validated_step = -1  # that looks at one frame
         if self._is_fitting:
             self._divide(is_training=True)
 
@@ -216,8 +218,7 @@ class SnerlModule(EncoderModule):
             folder = "validation" if role == ENCODER_CAMERAS else f"validation_{role}"
             known = {f"{folder}/{name}": value for name, value in pictures.figures.items() if value is not None}
             self.log_dict(known, rank_zero_only=True)
-        if not self.trainer.sanity_checking:  # that looks at one frame
-            self.validated_step = self.global_step
+        self.validated_step = self.global_step
         if self.config.stop_when and self._is_fitting:
             self.judged = dict(self.validation)
             if self.is_good_enough():

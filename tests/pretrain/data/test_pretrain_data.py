@@ -183,6 +183,26 @@ def test_no_ray_tells_of_a_surface_before_its_beginning(dataset: MultiViewDatase
         assert (dataset.read("depth", dataset.split("train"))[:, [1, 2, 3]] < near).mean() > 0.01
 
 
+def test_rays_are_of_the_few_pixels_that_count_even_if_there_is_one(
+    dataset: MultiViewDataset, config, monkeypatch: pytest.MonkeyPatch
+):
+    read = MultiViewDataset.read
+
+    def hardly_valid(self: MultiViewDataset, frames: np.ndarray) -> np.ndarray:
+        valid = np.zeros(read(self, "semantic", frames).shape, np.bool_)
+        valid[:, 1, 3, 4] = True
+        return valid
+
+    settings = config(rays_per_scene=2)
+    statistics = measure(dataset, settings)
+    monkeypatch.setattr(MultiViewDataset, "read_valid", hardly_valid)
+    for step in range(5):
+        batch = RayBatches(dataset, settings, statistics)[step]
+        for frame, rgb in zip(frames_of(dataset, batch), batch.rgb.numpy(), strict=True):
+            truth = read(dataset, "rgb", [frame])[0, 1, 3, 4] / np.float32(255)
+            np.testing.assert_allclose(rgb, np.broadcast_to(truth, rgb.shape), atol=1e-6)
+
+
 def test_epochs_divide_the_steps_among_them_and_validation_frames_are_held_out(dataset: MultiViewDataset, config):
     module = MultiViewDataModule(dataset, config(steps=5, steps_per_epoch=3, validation_frames=2))
     batches = RayBatches(dataset, config(steps=5), module.statistics)

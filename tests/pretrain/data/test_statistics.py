@@ -67,6 +67,16 @@ def test_cameras_that_see_nothing_are_told(tiny_dataset: Path, monkeypatch: pyte
         measure(dataset, CONFIG)
 
 
+def test_cameras_of_pictures_without_depth_may_be_as_far_away_as_their_units_make_them(
+    tiny_dataset: Path, monkeypatch: pytest.MonkeyPatch
+):
+    dataset = MultiViewDataset(tiny_dataset)
+    bounds = measure(dataset, CONFIG).bounds
+    monkeypatch.setitem(dataset.manifest, "far", 0.01)
+    monkeypatch.setattr(MultiViewDataset, "absent", property(lambda _: frozenset({DEPTH})))
+    assert 0 < measure(dataset, CONFIG).bounds.near < bounds.far
+
+
 def test_a_sample_of_the_pixels_tells_nearly_the_same(tiny_dataset: Path, monkeypatch: pytest.MonkeyPatch):
     dataset = MultiViewDataset(tiny_dataset)
     every = measure(dataset, CONFIG)

@@ -9,6 +9,8 @@ import pytest
 from nerf_rl import cli
 from nerf_rl.cameras import geometry as cameras
 from nerf_rl.datasets.storage.reader import MultiViewDataset
+from nerf_rl.errors import UserError
+from nerf_rl.pretrain.config import PretrainConfig
 from nerf_rl.pretrain.data.batches import RayBatches
 from nerf_rl.pretrain.data.statistics import measure
 from nerf_rl.pretrain.data.teachers import TEACHERS, Pixels, Views, find_teacher, surface_normals, teacher_features
@@ -129,6 +131,13 @@ class Narrow:
     width = 0
 
 
+class Long:
+    width = 2
+
+    def features(self, views, pixels):
+        return np.zeros((len(pixels.image), 1))
+
+
 def broken():
     raise RuntimeError("no weights")
 """
@@ -148,6 +157,17 @@ def test_a_teacher_of_ones_own_stands_in_a_file_outside_the_package(
     batch = RayBatches(dataset, config, measure(dataset, config))[0]
     np.testing.assert_allclose(batch.feature[..., 0], batch.rgb.mean(-1), atol=1e-6)
     np.testing.assert_array_equal(batch.feature[..., 1], batch.semantic > 0)
+
+
+def test_features_of_another_width_than_a_teacher_says_are_told(
+    tiny_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    (tmp_path / "own_teacher.py").write_text(OWN)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    dataset = MultiViewDataset(tiny_dataset)
+    config = PretrainConfig("d", "o", teachers=["own_teacher:Long"], scenes_per_step=2, rays_per_scene=8)
+    with pytest.raises(UserError, match=r"'own_teacher:Long' gave features \(16, 1\) where \(16, 2\) were due"):
+        RayBatches(dataset, config, measure(dataset, config))[0]
 
 
 @pytest.mark.parametrize(

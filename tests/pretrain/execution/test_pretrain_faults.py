@@ -83,8 +83,10 @@ def test_weights_that_compute_no_numbers_end_the_run_before_they_are_kept(
         MemoryError(),
     ],
 )
+@pytest.mark.parametrize("where", ["__init__", "_losses"])
 def test_too_little_memory_names_the_keys(
     error: Exception,
+    where: str,
     tiny_dataset: Path,
     tiny_pretraining_recipe: Path,
     tmp_path: Path,
@@ -94,7 +96,7 @@ def test_too_little_memory_names_the_keys(
     def fails(self: SnerlModule, *_: Any) -> Any:
         raise error
 
-    monkeypatch.setattr(SnerlModule, "_losses", fails)
+    monkeypatch.setattr(SnerlModule, where, fails)
     assert pretrain(tiny_pretraining_recipe, tiny_dataset, tmp_path / "run") == 1
     told = capsys.readouterr().err
     assert "out of memory on cpu: lower --scenes_per_step, --rays_per_scene" in told and "Traceback" not in told
