@@ -114,17 +114,25 @@ def _leading_bodies(model: mujoco.MjModel) -> set[int]:
 
 def _led_and_leading(model: mujoco.MjModel) -> list[tuple[int, int]]:
     pairs: list[tuple[int, int]] = []
-    for constraint in range(model.neq):
-        ties = model.eq_type[constraint] in (mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_CONNECT)
-        if not (ties and model.eq_active0[constraint]):
-            continue
-        tied = [int(model.eq_obj1id[constraint]), int(model.eq_obj2id[constraint])]
-        if model.eq_objtype[constraint] == mujoco.mjtObj.mjOBJ_SITE:
-            tied = [int(model.site_bodyid[site]) for site in tied]
+    for tied in tied_bodies(model):
         for led, leading in (tied, tied[::-1]):
             root = int(model.body_rootid[leading])
             if model.body_mocapid[root] >= 0 > model.body_mocapid[model.body_rootid[led]]:
                 pairs.append((led, root))
+    return pairs
+
+
+def tied_bodies(model: mujoco.MjModel) -> list[tuple[int, int]]:
+    """Return the ids of the bodies that are welded or connected to each other, by pairs; one may be the world, 0."""
+    pairs: list[tuple[int, int]] = []
+    for constraint in range(model.neq):
+        ties = model.eq_type[constraint] in (mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_CONNECT)
+        if not (ties and model.eq_active0[constraint]):
+            continue
+        one, other = int(model.eq_obj1id[constraint]), int(model.eq_obj2id[constraint])
+        if model.eq_objtype[constraint] == mujoco.mjtObj.mjOBJ_SITE:
+            one, other = int(model.site_bodyid[one]), int(model.site_bodyid[other])
+        pairs.append((one, other))
     return pairs
 
 

@@ -10,8 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from nerf_rl.errors import MissingFileError, UserError
-from nerf_rl.scenes.body_parts import soft_points
-from nerf_rl.scenes.scattering import turned_around_vertical
+from nerf_rl.scenes.scattering import followers_of, loose_joints, turned_around_vertical
 from nerf_rl.scenes.structured import StructuredScene
 from nerf_rl.scenes.workspace import fit_workspace
 
@@ -26,7 +25,8 @@ class MjcfEnv(gymnasium.Env):
     Actions in [-1, 1] are scaled to the actuators' control ranges (as they are, where there is none) and held for
     0.05 s. A reset starts from the keyframe ``home``, else from the first one, else from the model's reference, and
     moves hinges and slides by up to a tenth of their range and free bodies in the plane, turned around the vertical;
-    cloth and what else is soft stays. The observation is [qpos, qvel].
+    cloth, what else is soft, and what is welded or connected to something stays, and a joint that a constraint lets
+    follow another follows it. The observation is [qpos, qvel].
 
     Args:
         model: compiled.
@@ -41,8 +41,8 @@ class MjcfEnv(gymnasium.Env):
         self._key = _home(model)
         self._start()
         self._place_spread = _PLACE_SPREAD * fit_workspace(model, self.data).radius
-        soft = soft_points(model)
-        self._scattered = [joint for joint in range(model.njnt) if int(model.jnt_bodyid[joint]) not in soft]
+        self._scattered = loose_joints(model)
+        self._followers = followers_of(model, self._scattered)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (model.nu,), np.float32)
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (model.nq + model.nv,), np.float64)
 
@@ -52,6 +52,8 @@ class MjcfEnv(gymnasium.Env):
         self._start()
         for joint in self._scattered:
             self._scatter(joint)
+        for follower in self._followers:
+            follower.follow(self.model, self.data.qpos)
         mujoco.mj_forward(self.model, self.data)
         return self.observe(), {}
 

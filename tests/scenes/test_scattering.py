@@ -138,3 +138,37 @@ def test_a_dataset_shows_and_tells_where_scattered_things_are(tiny_recipe: Path,
         assert np.ptp(case) < 0.1  # where a reset puts the case; the handle goes with the drawer
     assert np.ptp(handles["1"]) > np.ptp(handles["0"]) + 0.1
     assert (handles["0"] != handles["1"]).sum() > (handles["0"] != handles["0.5"]).sum() > 0
+
+
+TIED = """<mujoco><worldbody>
+  <geom name="floor" type="plane" size="1 1 .1"/>
+  <body pos="-.6 0 .1"><joint name="push" type="slide" axis="1 0 0" range="-1 1"/><geom size=".02"/></body>
+  <body name="left" pos="0 .2 .03"><freejoint/><geom type="box" size=".03 .03 .03"/></body>
+  <body name="right" pos=".06 .2 .03"><freejoint/><geom type="box" size=".03 .03 .03"/></body>
+  <body name="loose" pos=".3 -.3 .03"><freejoint/><geom type="box" size=".03 .03 .03"/></body>
+  <body name="knob" pos="-.3 -.3 .1"><joint name="knob" axis="0 0 1" range="0 60"/><geom size=".03"/></body>
+  <body name="lid" pos="-.3 .3 .1"><joint name="lid" type="slide" axis="0 0 1" range="0 1"/><geom size=".03"/></body>
+  <body pos="0 -.3 .1"><joint name="lamp" type="slide" axis="0 0 1"/><geom size=".02"/></body>
+  <body pos="0 -.5 .1"><joint name="stop" type="slide" axis="0 0 1"/><geom size=".02"/></body>
+</worldbody><equality>
+  <weld body1="left" body2="right"/><joint joint1="lamp" joint2="lid" polycoef="0 2 0 0 0"/>
+  <joint joint1="lid" joint2="knob" polycoef=".01 .5 0 0 0"/><joint joint1="stop"/>
+</equality><actuator><motor joint="push"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("anywhere", [False, True])
+def test_what_constraints_hold_together_begins_together(anywhere: bool, tmp_path: Path):
+    (tmp_path / "tied.xml").write_text(TIED)
+    scene = make_scene(str(tmp_path / "tied.xml"))
+    scattering, loose, knobs = Scattering(scene), [], []
+    for seed in range(6):
+        scene.env.reset(seed=seed)
+        if anywhere:
+            scattering.scatter(np.random.default_rng(seed))
+        apart = scene.data.body("right").xpos - scene.data.body("left").xpos
+        np.testing.assert_allclose(apart, [0.06, 0, 0], atol=1e-9)
+        knob, lid, lamp, stop = (scene.data.joint(name).qpos[0] for name in ("knob", "lid", "lamp", "stop"))
+        assert lid == pytest.approx(0.01 + 0.5 * knob) and lamp == pytest.approx(2 * lid) and stop == 0
+        loose.append(scene.data.body("loose").xpos[0])
+        knobs.append(knob)
+    assert np.ptp(loose) > 0.05 and np.ptp(knobs) > 0.05
