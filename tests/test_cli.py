@@ -179,11 +179,15 @@ def test_a_missing_key_is_named(capsys: pytest.CaptureFixture[str]):
     assert "missing --out" in capsys.readouterr().err
 
 
-def test_an_override_wins_over_the_recipe_before_it(toy: str, tmp_path: Path):
+def test_an_override_wins_over_a_recipe_wherever_it_stands_and_a_later_recipe_over_an_earlier(toy: str, tmp_path: Path):
     recipe = tmp_path / "recipe.yaml"
     recipe.write_text("outcome: mistake\n")
     assert cli.parse(toy, ["--config", str(recipe)]).outcome == "mistake"
     assert cli.parse(toy, ["--config", str(recipe), "--outcome", "bug"]).outcome == "bug"
+    assert cli.parse(toy, ["--outcome", "bug", "--config", str(recipe)]).outcome == "bug"
+    (tmp_path / "later.yaml").write_text("outcome: failure\n")
+    recipes = ["--config", str(recipe), "--config", str(tmp_path / "later.yaml")]
+    assert cli.parse(toy, recipes).outcome == "failure"
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)

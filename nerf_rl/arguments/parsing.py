@@ -28,7 +28,8 @@ def parse_config(config: type, program: str, description: str, arguments: Sequen
         config: a dataclass; nested dataclasses become dotted keys.
         program: the name to show in help.
         description: a line for help.
-        arguments: ``--config FILE`` and ``--key value`` overrides; the later one wins.
+        arguments: ``--config FILE``, and ``--key value``, which overrides recipes wherever it stands; of several
+            recipes, and of one key twice, the later one wins.
         positional: the key that a word without one stands for; none if empty.
 
     Raises:
@@ -38,7 +39,7 @@ def parse_config(config: type, program: str, description: str, arguments: Sequen
     parser = _parser(config, program, description)
     arguments = [re.sub(r"^--[^=]+", lambda key: "--" + key[0][2:].replace("-", "_"), word) for word in arguments]
     arguments = list(_name_positional(arguments, positional)) if positional else arguments
-    arguments = list(_check_recipes(arguments, config))
+    arguments = sorted(_check_recipes(arguments, config), key=lambda word: not word.startswith("--config="))
     try:
         namespace = parser.instantiate(parser.parse_args(arguments))
         values = {field.name: namespace[field.name] for field in dataclasses.fields(config)}

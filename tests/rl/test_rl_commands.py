@@ -150,6 +150,20 @@ def test_a_policy_of_another_format_is_refused_in_a_sentence(run: Path, tmp_path
         Policy.load(tmp_path)
 
 
+def test_an_agent_whose_encoder_has_moved_says_how_to_name_it(
+    run: Path, tiny_encoder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    agent = shutil.copytree(run, tmp_path / "agent")
+    description = json.loads((agent / "policy.json").read_text())
+    description["env"]["encoder"] = str(tmp_path / "gone")
+    (agent / "policy.json").write_text(json.dumps(description))
+    words = ["evaluate", "--run", str(agent), "--episodes", "1"]
+    assert cli.main([*words, "--out", str(tmp_path / "evaluation")]) == 2
+    said = f"its encoder is not at {tmp_path / 'gone'} any more; say where it is by --encoder"
+    assert said in capsys.readouterr().err
+    assert cli.main([*words, "--out", str(tmp_path / "evaluation"), "--encoder", str(tiny_encoder)]) == 0
+
+
 def test_a_run_on_the_true_state_resumes_and_evaluates(tmp_path: Path) -> None:
     out = tmp_path / "state"
     assert cli.main(["train-rl", "--out", str(out), *SHORT, "--envs", "1", "--checkpoint_every", "60"]) == 0

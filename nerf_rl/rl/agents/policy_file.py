@@ -103,7 +103,14 @@ def check_policy(run: Path, encoder: str = "") -> dict[str, Any]:
     env = description["env"]
     if env["encoder"] is not None:
         env["encoder"] = lasting(encoder) if is_address(encoder) else encoder or _encoder_of(run, env["encoder"])
-        if encoder_digest(env["encoder"]) != description["encoder_digest"]:
+        try:
+            digest = encoder_digest(env["encoder"])
+        except MissingFileError as error:
+            if encoder or is_address(env["encoder"]) or Path(env["encoder"]).exists():
+                raise
+            reason = f"its encoder is not at {env['encoder']} any more"
+            raise MissingFileError("an agent to act with", run, reason, "say where it is by --encoder") from error
+        if digest != description["encoder_digest"]:
             raise UserError(f"{env['encoder']} is not the encoder that the policy in {run} was trained with")
     return description
 
