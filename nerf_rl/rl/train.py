@@ -163,9 +163,12 @@ def _can_resume(run: Path, config: TrainRLConfig) -> bool:
     """Tell whether the folder holds an interrupted run; raise UserError if it has other keys or another encoder."""
     if not (run / "config.yaml").is_file():
         return False
-    from nerf_rl.rl.training.checkpoint import require_same_encoder
+    from nerf_rl.rl.training.checkpoint import has_encoder, require_same_encoder
 
-    require_same_keys(run, config.content(), TrainRLConfig)
+    content = config.content()
+    if has_encoder(run, config.encoder):
+        del content["encoder"]  # it may have moved
+    require_same_keys(run, content, TrainRLConfig)
     require_same_encoder(run, config.encoder)
     return True
 

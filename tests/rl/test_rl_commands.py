@@ -269,6 +269,22 @@ def test_videos_of_odd_size_are_padded(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["x.mp4"]
 
 
+@pytest.mark.parametrize("several", [False, True])
+def test_a_run_goes_on_with_its_encoder_wherever_that_lies_now(
+    several: bool, tiny_encoder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    encoder = shutil.copytree(tiny_encoder, tmp_path / "encoder")
+    keys = ["train-rl", *SHORT, "--envs", "1", "--out", str(tmp_path / "run"), *(["--seeds", "0..0"] * several)]
+    assert cli.main([*keys, "--encoder", str(encoder)]) == 0
+    moved = encoder.rename(tmp_path / "moved")
+    longer = ["--env_steps", "140", "--resume", "true"]
+    assert cli.main([*keys, "--encoder", "none", *longer]) == 2
+    assert "was begun with another --encoder" in capsys.readouterr().err
+    assert cli.main([*keys, "--encoder", str(moved), *longer]) == 0
+    run = tmp_path / "run" / ("seed-0" if several else "")
+    assert Policy.load(run).spec.encoder == str(moved) and Policy.load(run).env_steps == 140
+
+
 def test_a_stock_environment_keeps_its_own_observation_space_inside(tiny_encoder: Path) -> None:
     stock = ALL_V3_ENVIRONMENTS_GOAL_OBSERVABLE["drawer-open-v3-goal-observable"](seed=0)
     env = LatentObservation(stock, tiny_encoder, proprio=lambda observation: observation[:4])

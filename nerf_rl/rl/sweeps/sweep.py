@@ -82,7 +82,12 @@ def _can_resume(out: Path, config: TrainRLConfig, seeds: list[int]) -> bool:
     """Tell whether the folder holds a sweep; raise UserError if it is another one."""
     if not (out / "config.yaml").is_file():
         return False
-    require_same_keys(out, config.content(), TrainRLConfig)
+    from nerf_rl.rl.training.checkpoint import has_encoder, require_same_encoder  # it takes PyTorch's time to import
+
+    content, runs = config.content(), {seed: run_folder(out, seed) for seed in seeds}
+    if any(has_encoder(run, config.encoder) for run in runs.values()):
+        del content["encoder"]  # it may have moved
+    require_same_keys(out, content, TrainRLConfig)
     stored = _stored(out).get("seeds")
     if not stored:
         raise UserError(f"{out} holds a single run; use another --out for several seeds")
@@ -92,15 +97,12 @@ def _can_resume(out: Path, config: TrainRLConfig, seeds: list[int]) -> bool:
             f"{out} was begun with --seeds {stored}, and {_names(left_out)} would be left out; resume with all of them "
             "or use another --out"
         )
-    runs = {seed: run_folder(out, seed) for seed in seeds}
     ended = [seed for seed, run in runs.items() if (run / SUMMARY).is_file() and not is_finished(run, config)]
     if config.algo in BASELINES and ended:
         raise UserError(
             f"--algo {config.algo} cannot go on with a run that has ended, as {_names(ended)} of {out} has; resume "
             "with the --env_steps and --episodes that it was begun with, or use another --out"
         )
-    from nerf_rl.rl.training.checkpoint import require_same_encoder  # it takes PyTorch's time to import
-
     for run in runs.values():
         require_same_encoder(run, config.encoder)
     return True

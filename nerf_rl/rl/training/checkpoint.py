@@ -117,6 +117,13 @@ def require_same_observations(facts: Mapping[str, Any], scene: str, folder: Path
         raise MissingFileError("a checkpoint to go on from", folder, reason, BEGIN_ANEW)
 
 
+def has_encoder(run: Path, encoder: str) -> bool:
+    """Tell whether a run says that it was begun with an encoder, by its digest, wherever that lies now."""
+    if encoder == NO_ENCODER or (found := _digest_told(run)) is None:
+        return False
+    return found == encoder_digest(encoder)
+
+
 def require_same_encoder(run: Path, encoder: str) -> None:
     """Raise UserError where what a run remembers was seen with another encoder than is at the same place now.
 
@@ -124,16 +131,22 @@ def require_same_encoder(run: Path, encoder: str) -> None:
         run: to be gone on with, or finished; one of an earlier version may not tell.
         encoder: path or address, or none.
     """
-    checkpoint = last_checkpoint(run)
-    if encoder == NO_ENCODER or (checkpoint is None and not (run / SUMMARY).is_file()):
+    if encoder == NO_ENCODER or (found := _digest_told(run)) is None:
         return
-    told = [] if checkpoint is None else [checkpoint / _FACTS]
-    found = next(filter(None, map(_digest_in, [*told, run / POLICY_DESCRIPTION])), None)
-    if found is not None and found != encoder_digest(encoder):
+    if found != encoder_digest(encoder):
         raise UserError(
             f"{encoder} is not the encoder that {run} was begun with, although it is at the same place; put that one "
             f"back, or {BEGIN_ANEW}"
         )
+
+
+def _digest_told(run: Path) -> str | None:
+    """Return the digest of its encoder that a run to be gone on with, or finished, tells."""
+    checkpoint = last_checkpoint(run)
+    if checkpoint is None and not (run / SUMMARY).is_file():
+        return None
+    told = [] if checkpoint is None else [checkpoint / _FACTS]
+    return next(filter(None, map(_digest_in, [*told, run / POLICY_DESCRIPTION])), None)
 
 
 def _digest_in(path: Path) -> str | None:
