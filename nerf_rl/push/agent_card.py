@@ -11,11 +11,12 @@ from nerf_rl.hub.fetch import ENCODER_IN_AGENT
 from nerf_rl.push.card import UNKNOWN, Naming, code, front_matter, installing, joined, last_sections, picture, table
 from nerf_rl.push.encoder_card import describe_cameras
 from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION
-from nerf_rl.rl.config import EYES_OF_CONTROLS, NO_CONTROL
+from nerf_rl.rl.config import BLIND, EYES_OF_CONTROLS, NO_CONTROL, RANDOM
 from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS, read_evaluations, with_demonstrations
 
 _TAGS = ("reinforcement-learning", "deep-reinforcement-learning")
 _UNCONTROLLED = "No control stands beside it, so nothing here tells what the same agent would reach without seeing."
+_INSTEAD = {BLIND: "zeros in place of ", RANDOM: "an untrained encoder's latent in place of "}
 
 
 @dataclass(frozen=True)
@@ -115,10 +116,11 @@ def _observed(description: Mapping[str, Any], encoder: Mapping[str, Any] | None)
     if encoder is None:
         return f"the true state ({description['observation_size']} numbers)"
     beside = description["proprio_names"]
+    instead = _INSTEAD.get(description["env"].get("control", NO_CONTROL), "")
     others = f" and {', '.join(f'`{name}`' for name in beside)}" if beside else ""
     return (
-        f"the latent of a frozen encoder, which sees {len(encoder['rig']['names'])} cameras and is in the folder "
-        f"`{ENCODER_IN_AGENT}`,{others}"
+        f"{instead}the latent of a frozen encoder, which sees {len(encoder['rig']['names'])} cameras and is in the "
+        f"folder `{ENCODER_IN_AGENT}`,{others}"
     )
 
 

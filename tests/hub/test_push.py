@@ -126,6 +126,9 @@ def test_the_card_of_an_agent_has_its_rate_its_interval_and_the_control_beside(
     assert push(tiny_agent, "--out", str(tmp_path / "c"), "--controls", f"[{blind}]") == 2
     assert "its scene, encoder or episodes are others" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["blind", "folder"]  # so that the next try finds it free
+    assert push(blind, "--out", str(tmp_path / "own")) == 0
+    for of_agent, told in ((card, "observes the latent"), ((tmp_path / "own/README.md").read_text(), "observes zeros")):
+        assert f"It {told}" in of_agent
 
 
 def test_training_on_an_encoder_of_the_hub_keeps_to_the_commit_it_began_with(

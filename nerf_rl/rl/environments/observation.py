@@ -41,7 +41,7 @@ class LatentObservation(gymnasium.ObservationWrapper):
         proprio: from the environment's observation to what is observed beside the latent [P], such as what the robot
             knows of itself; None for the latent alone.
         device: to move the encoder to; None leaves it where it is. Observations are in the CPU's memory either way.
-        blind: see nothing: latents are zero, and so are images.
+        blind: see nothing: the latent that is observed is zero, and so are images.
 
     Attributes:
         last_images: what the cameras saw at the last observation [V, H, W, 3], uint8.
@@ -83,20 +83,19 @@ class LatentObservation(gymnasium.ObservationWrapper):
             FailureError: proprioception does not have as many numbers as it had, or one that is not finite.
         """
         latent = self.look()
-        standardised = torch.zeros_like(latent) if self._blind else self.encoder.standardise(latent)
         self.last_latent = latent[0].float().cpu().numpy()
-        parts = [standardised[0].float().cpu().numpy()]
+        parts = [self.encoder.standardise(latent)[0].float().cpu().numpy()]
         if self._proprio is not None:
             parts.append(self._proprio(observation))
         return observed_numbers(self, np.concatenate(parts))
 
     @torch.inference_mode()
     def look(self) -> Float[Tensor, "1 Z"]:
-        """Return the latent of the scene as it is now; not standardised."""
+        """Return the latent of the scene as it is now, which is always the mean of all if blind; not standardised."""
         if self._blind:
             rig = self.encoder.rig
             self.last_images = np.zeros((len(rig.names), rig.height, rig.width, 3), np.uint8)
-            return torch.zeros(1, self.encoder.latent_size)
+            return self.encoder.latent_mean[None]
         self.last_images = self._render()
         images = torch.from_numpy(self.last_images)[None]
         seeing = self.encoder, self.encoder.latent_mean.device  # either may be another one since the last look

@@ -32,10 +32,12 @@ def spec(tiny_encoder: Path) -> EnvSpec:
 
 def test_a_blind_agent_has_its_hand_and_nothing_else(spec: EnvSpec) -> None:
     seeing, env = acted(spec)
-    blind, _ = acted(dataclasses.replace(spec, control="blind"))
+    blind, unseeing = acted(dataclasses.replace(spec, control="blind"))
     size = env.encoder.latent_size
     assert (blind[:size] == 0).all() and (seeing[:size] != 0).any()
     assert np.array_equal(blind[size:], seeing[size:])
+    mean = env.encoder.latent_mean.numpy()  # what is drawn of its latent is what a scene looks like on the mean
+    assert mean.any() and np.array_equal(unseeing.last_latent, mean)
 
 
 def test_an_untrained_encoder_sees_something_else_at_the_same_scale_and_the_same_in_every_process(
