@@ -138,16 +138,19 @@ class Trainer:
         Args:
             progress: advanced by environment steps.
         """
+        self._react(progress)
         observation = self._restart(np.ones(self._envs.num_envs, np.bool_))
         last_log, last_updates, last_seconds = self.env_steps, self.agent.updates, self.seconds
         while self.env_steps < until and not self.finished:
             before = self.env_steps
             observation = self._step(observation)
             progress.advance(self.env_steps - before)
-            if self.env_steps - last_log >= self._config.log_every or self.env_steps >= until or self.finished:
+            is_over = self.env_steps >= until or self.finished
+            if self.env_steps - last_log >= self._config.log_every or is_over:
                 rate = (self.agent.updates - last_updates) / max(self.seconds - last_seconds, 1e-9)
                 self._log(rate)
-                self._react(progress)
+                if not is_over:  # fresh networks, which have learnt nothing yet, are neither evaluated nor kept
+                    self._react(progress)
                 last_log, last_updates, last_seconds = self.env_steps, self.agent.updates, self.seconds
         for env, n_step in enumerate(self._n_steps):
             self.replay.add(n_step.cut(), env)

@@ -272,3 +272,20 @@ def test_an_agent_that_stays_stuck_starts_anew_from_its_memory_and_a_resumed_run
     states = [trainer.agent.state_dict() for trainer in (whole, again)]
     assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
     assert any((a != b).any() for a, b in zip(before, whole.agent.policy().parameters(), strict=True))
+
+
+def test_networks_start_anew_where_they_still_learn_and_not_before_they_are_kept(
+    envs: AsyncVectorEnv, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = config(tmp_path, log_every=10_000)
+    made.learner.reset_after, made.learner.reset_updates = 100, 20
+    trainer, resets = Trainer(made, envs, tmp_path), []
+    reset = trainer.agent.reset
+    monkeypatch.setattr(trainer._monitor, "end_episode", lambda *_: None)  # nothing is ever a success
+    monkeypatch.setattr(trainer.agent, "reset", lambda: (resets.append(trainer.env_steps), reset()))
+    train(trainer, 300)
+    assert trainer._monitor.stuck_for(300) >= 100 and not resets
+    updates = trainer.agent.updates
+    train(trainer, 310)
+    assert resets == [300] and trainer.agent.updates >= updates + 20
+    trainer.replay.close()
