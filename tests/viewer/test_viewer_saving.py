@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from nerf_rl import cli
+from nerf_rl.errors import UserError
 from nerf_rl.viewer.drawing.slides import Slide
 from nerf_rl.viewer.pages.saving import save
 
@@ -54,3 +55,11 @@ def test_a_contact_sheet_alone_draws_six_slides_of_many_and_is_the_one_beside_a_
     sheet = cv2.imread(str(tmp_path / "alone.png"))
     assert set(np.unique(sheet)) == {0, 30, 70, 110, 150, 190, 255}
     np.testing.assert_array_equal(sheet, cv2.imread(str(tmp_path / "beside.png")))
+
+
+def test_a_folder_that_cannot_be_made_is_told_before_anything_is_drawn() -> None:
+    def never() -> Slide:
+        raise AssertionError("drawn in vain")
+
+    with pytest.raises(UserError, match=r"/proc/nowhere/x/a\.png cannot be written"):
+        save({"png": Path("/proc/nowhere/x/a.png")}, "title", [never], None, list)

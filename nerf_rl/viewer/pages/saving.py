@@ -11,6 +11,7 @@ from numpy import ndarray
 from nerf_rl.datasets.storage.frames import read_frame
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.files.atomic import atomic_write, write_text
+from nerf_rl.files.outputs import making
 from nerf_rl.pictures.page import Page
 from nerf_rl.pictures.video import write_mp4
 from nerf_rl.progress import Progress
@@ -40,7 +41,13 @@ def save(
         legend: names and colours of the classes; None without labels.
         charts: for the page.
         scene: makes a 3-D recording for the page, a document of its own.
+
+    Raises:
+        UserError: a file cannot be written, or its folder not be made, which is tried before anything is drawn.
     """
+    for path in files.values():
+        with making(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
     on_sheet = evenly_chosen(len(slides), _ON_A_SHEET)
     places = on_sheet if files.keys() == {"png"} else list(range(len(slides)))
     drawn = {}
@@ -50,13 +57,13 @@ def save(
             progress.advance()
     shown = list(drawn.values())
     for kind, path in files.items():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if kind == "png":
-            _write_png(path, _contact_sheet([drawn[place].picture for place in on_sheet]))
-        elif kind == "mp4":
-            write_mp4(path, same_size([slide.picture for slide in shown]), _FRAMES_PER_SECOND)
-        else:
-            _write_page(path, title, shown, legend, charts(), scene)
+        with making(path):
+            if kind == "png":
+                _write_png(path, _contact_sheet([drawn[place].picture for place in on_sheet]))
+            elif kind == "mp4":
+                write_mp4(path, same_size([slide.picture for slide in shown]), _FRAMES_PER_SECOND)
+            else:
+                _write_page(path, title, shown, legend, charts(), scene)
         print(f"wrote {path}", flush=True)
 
 
