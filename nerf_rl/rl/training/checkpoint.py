@@ -18,6 +18,7 @@ from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.files.structure import flag, listing, mapping, number, one_of, optional, text, whole
 from nerf_rl.files.tensor_files import read_tensors, write_tensors
+from nerf_rl.hub.address import is_address
 from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION, encoder_digest
 from nerf_rl.rl.config import NO_ENCODER
 from nerf_rl.rl.training.curriculum import STRUCTURE as CURRICULUM
@@ -118,8 +119,11 @@ def require_same_observations(facts: Mapping[str, Any], scene: str, folder: Path
 
 
 def has_encoder(run: Path, encoder: str) -> bool:
-    """Tell whether a run says that it was begun with an encoder, by its digest, wherever that lies now."""
-    if encoder == NO_ENCODER or (found := _digest_told(run)) is None:
+    """Tell whether a run says that it was begun with an encoder in a folder, by its digest, wherever that lies now.
+
+    An address on the Hub says more than that, namely which commit is meant.
+    """
+    if encoder == NO_ENCODER or is_address(encoder) or (found := _digest_told(run)) is None:
         return False
     return found == encoder_digest(encoder)
 
