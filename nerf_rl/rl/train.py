@@ -5,7 +5,6 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nerf_rl.arguments.stored_keys import require_same_keys
 from nerf_rl.errors import UserError
 from nerf_rl.files.outputs import prepare_output, require_outside, write_provenance
 from nerf_rl.hub.address import is_address
@@ -163,13 +162,9 @@ def _can_resume(run: Path, config: TrainRLConfig) -> bool:
     """Tell whether the folder holds an interrupted run; raise UserError if it has other keys or another encoder."""
     if not (run / "config.yaml").is_file():
         return False
-    from nerf_rl.rl.training.checkpoint import has_encoder, require_same_encoder
+    from nerf_rl.rl.training.checkpoint import require_begun_so
 
-    content = config.content()
-    if has_encoder(run, config.encoder):
-        del content["encoder"]  # it may have moved
-    require_same_keys(run, content, TrainRLConfig)
-    require_same_encoder(run, config.encoder)
+    require_begun_so(run, config, [run])
     return True
 
 

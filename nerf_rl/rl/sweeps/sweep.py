@@ -7,7 +7,6 @@ from typing import Any
 
 import yaml
 
-from nerf_rl.arguments.stored_keys import require_same_keys
 from nerf_rl.errors import FailureError, UserError
 from nerf_rl.files.json_files import write_json
 from nerf_rl.files.outputs import SUMMARY, prepare_output, write_provenance
@@ -82,12 +81,10 @@ def _can_resume(out: Path, config: TrainRLConfig, seeds: list[int]) -> bool:
     """Tell whether the folder holds a sweep; raise UserError if it is another one."""
     if not (out / "config.yaml").is_file():
         return False
-    from nerf_rl.rl.training.checkpoint import has_encoder, require_same_encoder  # it takes PyTorch's time to import
+    from nerf_rl.rl.training.checkpoint import require_begun_so  # it takes PyTorch's time to import
 
-    content, runs = config.content(), {seed: run_folder(out, seed) for seed in seeds}
-    if any(has_encoder(run, config.encoder) for run in runs.values()):
-        del content["encoder"]  # it may have moved
-    require_same_keys(out, content, TrainRLConfig)
+    runs = {seed: run_folder(out, seed) for seed in seeds}
+    require_begun_so(out, config, list(runs.values()))
     stored = _stored(out).get("seeds")
     if not stored:
         raise UserError(f"{out} holds a single run; use another --out for several seeds")
@@ -103,8 +100,6 @@ def _can_resume(out: Path, config: TrainRLConfig, seeds: list[int]) -> bool:
             f"--algo {config.algo} cannot go on with a run that has ended, as {_names(ended)} of {out} has; resume "
             "with the --env_steps and --episodes that it was begun with, or use another --out"
         )
-    for run in runs.values():
-        require_same_encoder(run, config.encoder)
     return True
 
 

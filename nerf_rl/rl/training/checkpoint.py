@@ -6,12 +6,13 @@
 """
 
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from torch import Tensor
 
+from nerf_rl.arguments.stored_keys import require_same_keys
 from nerf_rl.errors import BEGIN_ANEW, MissingFileError, UserError
 from nerf_rl.files.atomic import rename_durably
 from nerf_rl.files.json_files import read_json, write_json
@@ -20,7 +21,7 @@ from nerf_rl.files.structure import flag, listing, mapping, number, one_of, opti
 from nerf_rl.files.tensor_files import read_tensors, write_tensors
 from nerf_rl.hub.address import is_address
 from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION, encoder_digest
-from nerf_rl.rl.config import NO_ENCODER
+from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
 from nerf_rl.rl.training.curriculum import STRUCTURE as CURRICULUM
 from nerf_rl.rl.training.deadlock import STRUCTURE as MONITOR
 from nerf_rl.rl.training.evaluation_results import EVALUATIONS
@@ -118,28 +119,30 @@ def require_same_observations(facts: Mapping[str, Any], scene: str, folder: Path
         raise MissingFileError("a checkpoint to go on from", folder, reason, BEGIN_ANEW)
 
 
-def has_encoder(run: Path, encoder: str) -> bool:
-    """Tell whether a run says that it was begun with an encoder in a folder, by its digest, wherever that lies now.
+def require_begun_so(folder: Path, config: TrainRLConfig, runs: Sequence[Path]) -> None:
+    """Check that runs which are to be resumed were begun with the same keys, and with the encoder that is there now.
 
-    An address on the Hub says more than that, namely which commit is meant.
-    """
-    if encoder == NO_ENCODER or is_address(encoder) or (found := _digest_told(run)) is None:
-        return False
-    return found == encoder_digest(encoder)
-
-
-def require_same_encoder(run: Path, encoder: str) -> None:
-    """Raise UserError where what a run remembers was seen with another encoder than is at the same place now.
+    An encoder in a folder is known by its digest, wherever that lies by now; an address on the Hub means its commit.
+    Runs of an earlier version may not tell.
 
     Args:
-        run: to be gone on with, or finished; one of an earlier version may not tell.
-        encoder: path or address, or none.
+        folder: whose ``config.yaml`` is compared.
+        config: to go on with.
+        runs: in it, or the folder itself; to be gone on with, or finished.
+
+    Raises:
+        UserError: other keys, or what a run remembers was seen with another encoder.
     """
-    if encoder == NO_ENCODER or (found := _digest_told(run)) is None:
-        return
-    if found != encoder_digest(encoder):
+    content, encoder = config.content(), config.encoder
+    told = {} if encoder == NO_ENCODER else {run: found for run in runs if (found := _digest_told(run)) is not None}
+    digest = encoder_digest(encoder) if told else None
+    if digest in told.values() and not is_address(encoder):
+        del content["encoder"]
+    require_same_keys(folder, content, TrainRLConfig)
+    other = next((run for run, found in told.items() if found != digest), None)
+    if other is not None:
         raise UserError(
-            f"{encoder} is not the encoder that {run} was begun with, although it is at the same place; put that one "
+            f"{encoder} is not the encoder that {other} was begun with, although it is at the same place; put that one "
             f"back, or {BEGIN_ANEW}"
         )
 
