@@ -21,7 +21,7 @@ from nerf_rl.pretrain.reconstructions import newest_reconstruction
 from nerf_rl.report.config import ReportConfig
 from nerf_rl.report.sources import FIELD, Sources, find_sources
 from nerf_rl.report.summaries import read_summary
-from nerf_rl.rl.config import EYES_OF_CONTROLS, NO_CONTROL
+from nerf_rl.rl.config import EYES_OF_CONTROLS, NO_CONTROL, RANDOM
 from nerf_rl.rl.training.evaluation_results import (
     HIGH,
     LOW,
@@ -183,7 +183,7 @@ def _drawing(sources: Sources) -> "tuple[Callable[[Rollout], ndarray], str]":
     if sources.agents_encoder is None:
         return film, "The scene; the policy observes its true state, and no image."
     folder, _ = read_description(sources.agents_encoder)
-    if not (folder / FIELD).is_file():
+    if sources.control == RANDOM or not (folder / FIELD).is_file():  # no field is of an untrained encoder's latents
         return film, "Left: the scene. Right: what the encoder's cameras see."
     from nerf_rl.pretrain.model.encoder import Encoder
     from nerf_rl.pretrain.model.field import RadianceField

@@ -153,6 +153,7 @@ def test_a_control_is_called_one_wherever_its_figures_and_pictures_are(
     (title,) = re.findall("<h1>(.*?)</h1>", page.read_text())
     (caption,) = re.findall("controls autoplay.*?<figcaption>(.*?)</figcaption>", page.read_text())
     assert title.endswith(f"(control: {kind})") and f"is a control, the same agent, trained with {words}" in caption
+    assert ("decodes" in caption) == (kind == "blind")  # no field is of an untrained encoder's latents
     assert cli.main(["view", str(run), "--save", str(view), "--episodes", "1"]) == 0
     assert f"agent (control: {kind})</h1>" in view.read_text() and words in view.read_text()
 

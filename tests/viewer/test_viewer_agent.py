@@ -1,6 +1,7 @@
 """An agent as the viewer shows it."""
 
 import dataclasses
+import json
 import shutil
 from pathlib import Path
 
@@ -63,6 +64,19 @@ def test_the_slides_of_a_control_say_what_it_is(agent: Agent, monkeypatch: pytes
     slide = episode_slide(agent, agent.act(0), 1)
     assert slide.caption == f"{seeing.caption}, control: the same agent, trained with latents of zero"
     assert slide.picture.shape[0] > seeing.picture.shape[0] and slide.picture[-12:].std() > 10  # a line more
+
+
+@pytest.mark.parametrize("kind, drawn", [("none", True), ("blind", True), ("random", False)])
+def test_a_field_is_drawn_of_latents_of_its_own_encoder_alone(
+    kind: str, drawn: bool, tiny_agent: Path, tmp_path: Path
+) -> None:
+    run = tmp_path / "agent"
+    shutil.copytree(tiny_agent, run, ignore=shutil.ignore_patterns("checkpoints", "logs"))
+    policy = json.loads((run / "policy.json").read_text())
+    policy["env"]["control"] = kind
+    (run / "policy.json").write_text(json.dumps(policy))
+    agent = Agent(run, "", seed=1, episodes=1)
+    assert (agent.folded(agent.act(0), 0) is not None) == drawn
 
 
 def test_a_baselines_metrics_have_no_signs_of_deadlock_to_draw() -> None:

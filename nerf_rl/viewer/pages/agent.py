@@ -18,7 +18,7 @@ from nerf_rl.pretrain.model.encoder_file import described_classes, read_descript
 from nerf_rl.pretrain.model.field import RadianceField
 from nerf_rl.pretrain.model.ray_rendering import RenderedImages
 from nerf_rl.rl.agents.policy import Policy
-from nerf_rl.rl.config import NO_CONTROL
+from nerf_rl.rl.config import NO_CONTROL, RANDOM
 from nerf_rl.rl.rollout import Rollout, rollout
 from nerf_rl.rl.training.episodes import evaluation_seeds
 from nerf_rl.rl.training.evaluation_results import read_evaluations
@@ -63,13 +63,13 @@ class Agent:
         self.values = ActionValues.load(run, self.policy)
         self.seeds = evaluation_seeds(seed, episodes)
         self.encoder: Encoder | None = None
-        self.field: RadianceField | None = None
+        self.field: RadianceField | None = None  # nor for the latents of an encoder that nobody trained
         self.palette: UInt8[ndarray, "C 3"] = np.zeros((1, 3), np.uint8)
         self.class_names: list[str] = []
         if self.policy.spec.encoder is not None:
             self.encoder = Encoder.load(self.policy.spec.encoder)
             folder, _ = read_description(self.policy.spec.encoder)
-            if (folder / "field.json").is_file():
+            if (folder / "field.json").is_file() and self.policy.spec.control != RANDOM:
                 self.field = RadianceField.load(folder).requires_grad_(False).to(device)
                 self.class_names, palette = described_classes(folder)
                 self.palette = np.array(palette, np.uint8)
