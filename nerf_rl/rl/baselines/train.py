@@ -22,6 +22,7 @@ from nerf_rl.rl.environments.make import EnvSpec, env_maker, worker_start_method
 from nerf_rl.rl.environments.vector import told
 from nerf_rl.rl.training.curves import MetricsLog
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes
+from nerf_rl.rl.training.evaluation_results import DUE, due
 from nerf_rl.rl.training.zoo_files import ZooFiles
 
 _LOSS = {"ppo": "train/value_loss"} | dict.fromkeys(OFF_POLICY_BASELINES, "train/critic_loss")  # in SB3's logger
@@ -131,7 +132,8 @@ class BaselineTrainer(BaseCallback):
         seeds = evaluation_seeds(0, episodes)
         found = run_episodes(self._evaluation_envs, act, seeds, config.evaluation_to_end)
         found.require_numbers(self.env_steps)
-        facts = {"env_steps": self.env_steps, "training_episodes": self.episodes}
+        when = {"env_steps": self.env_steps, DUE: due(self.env_steps, vars(config))}
+        facts = {**when, "training_episodes": self.episodes}
         self.evaluations.append({**facts, **found.summary()})
         self._zoo.add_evaluation(self.env_steps, found)
         self.metrics.write_evaluation(self.evaluations[-1])

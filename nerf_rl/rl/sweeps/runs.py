@@ -12,7 +12,7 @@ from nerf_rl.files.json_files import read_json
 from nerf_rl.files.outputs import PROVENANCE, SUMMARY
 from nerf_rl.files.structure import mapping, number, whole
 from nerf_rl.rl.config import TrainRLConfig
-from nerf_rl.rl.training.evaluation_results import DEMONSTRATIONS, EVALUATIONS, SUCCESS, due
+from nerf_rl.rl.training.evaluation_results import DEMONSTRATIONS, DUE, EVALUATIONS, SUCCESS, due
 
 GOOD = 0.95
 """success rate from which on a run counts as one that can do its task"""
@@ -52,7 +52,7 @@ def read_run(run: Path) -> dict[str, Any]:
     """
     summary, keys = read_json(run / SUMMARY), _keys(run)
     _SUMMARY(summary, "")
-    evaluations = [{"due": due(evaluation["env_steps"], keys), **evaluation} for evaluation in summary["evaluations"]]
+    evaluations = [{DUE: due(evaluation["env_steps"], keys), **evaluation} for evaluation in summary["evaluations"]]
     good = next((e["env_steps"] for e in evaluations if e.get(SUCCESS, 0.0) >= GOOD), None)
     return {
         "seed": read_json(run / PROVENANCE)["seed"],

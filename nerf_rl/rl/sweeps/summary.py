@@ -6,7 +6,7 @@ from typing import Any
 from nerf_rl.metrics import wilson_interval
 from nerf_rl.rl.sweeps.aggregates import describe_scores
 from nerf_rl.rl.sweeps.runs import GOOD
-from nerf_rl.rl.training.evaluation_results import DEMONSTRATIONS, SUCCESS, tells_success
+from nerf_rl.rl.training.evaluation_results import DEMONSTRATIONS, DUE, SUCCESS, tells_success
 
 RETURN = "mean_return"
 
@@ -35,7 +35,7 @@ def _by_step(runs: Sequence[dict[str, Any]], score: str) -> list[tuple[int, list
     """Return the scores of all runs at each number of environment steps at which some were evaluated."""
     scores: dict[int, list[float]] = {}
     for run in runs:
-        for due, evaluation in {evaluation["due"]: evaluation for evaluation in run["evaluations"]}.items():
+        for due, evaluation in {evaluation[DUE]: evaluation for evaluation in run["evaluations"]}.items():
             scores.setdefault(due, []).append(evaluation[score])
     return sorted(scores.items())
 

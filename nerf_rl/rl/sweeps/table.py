@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from nerf_rl.rl.sweeps.runs import GOOD
-from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS, with_demonstrations
+from nerf_rl.rl.training.evaluation_results import DUE, HIGH, LOW, SUCCESS, with_demonstrations
 
 _MOST_COLUMNS = 10
 _NONE = "-"
@@ -22,7 +22,7 @@ def seeds_table(summary: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
     heads += [f"env steps to {GOOD:.0%}", f"seconds to {GOOD:.0%}"] if told else []
     rows = []
     for run in summary["runs"]:
-        scores = {evaluation["due"]: evaluation[score] for evaluation in run["evaluations"]}
+        scores = {evaluation[DUE]: evaluation[score] for evaluation in run["evaluations"]}
         row = [str(run["seed"]), *(_written(scores.get(step), told) for step in steps), _final(run, told)]
         if told:
             good = run["good"] or {"env_steps": None, "seconds": None}

@@ -10,7 +10,15 @@ import numpy as np
 
 from nerf_rl.files.atomic import atomic_write, write_text
 from nerf_rl.loggers import CurveLogger
-from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS, TO_END, tells_success, with_demonstrations
+from nerf_rl.rl.training.evaluation_results import (
+    DUE,
+    HIGH,
+    LOW,
+    SUCCESS,
+    TO_END,
+    tells_success,
+    with_demonstrations,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -85,7 +93,7 @@ class MetricsLog:
 
     def _pass_on(self, group: str, row: Mapping[str, Any]) -> None:
         """Give a row to the loggers, with the environment steps as its step."""
-        figures = {f"{group}/{name}": float(value) for name, value in row.items() if name != "env_steps"}
+        figures = {f"{group}/{name}": float(value) for name, value in row.items() if name not in ("env_steps", DUE)}
         for logger in self.loggers:
             logger.log_metrics(figures, step=int(row["env_steps"]))
             logger.save()

@@ -13,12 +13,14 @@ SUCCESS, LOW, HIGH = "success_rate", "ci_low", "ci_high"
 """of environments that tell of success; other results are without"""
 DEMONSTRATIONS = "demonstrations"
 """how many the agent began with; results of agents that had none are without"""
+DUE = "due"
+"""environment steps at which an evaluation was due; results of earlier versions are without"""
 TO_END = "to_end"
 """true where evaluated episodes went on after a success; other results are without"""
 EVALUATIONS = listing(
     mapping(
         {"env_steps": whole(), "episodes": whole(1), "mean_return": number()},
-        {**dict.fromkeys((SUCCESS, LOW, HIGH), number(0.0, 1.0)), DEMONSTRATIONS: whole(1), TO_END: flag},
+        {**dict.fromkeys((SUCCESS, LOW, HIGH), number(0.0, 1.0)), DEMONSTRATIONS: whole(1), DUE: whole(), TO_END: flag},
         others=True,
     )
 )
@@ -55,7 +57,7 @@ def due(env_steps: int, keys: Mapping[str, Any]) -> int:
 
     Args:
         env_steps: at which it came.
-        keys: of train-rl.
+        keys: of train-rl, as they were then.
     """
     for step in (keys["env_steps"], env_steps // keys["evaluation_every"] * keys["evaluation_every"]):
         if 0 <= env_steps - step < keys["envs"] * keys["action_repeat"]:

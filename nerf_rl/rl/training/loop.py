@@ -40,7 +40,7 @@ from nerf_rl.rl.training.deadlock import DeadlockMonitor
 from nerf_rl.rl.training.demonstrated_start import DemonstratedStart
 from nerf_rl.rl.training.echoes import REMEMBERED, Echoes
 from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes
-from nerf_rl.rl.training.evaluation_results import DEMONSTRATIONS
+from nerf_rl.rl.training.evaluation_results import DEMONSTRATIONS, DUE, due
 from nerf_rl.rl.training.exploration import Exploration
 from nerf_rl.rl.training.learnt_reward import learnt_reward
 from nerf_rl.rl.training.zoo_files import ZooFiles
@@ -170,7 +170,8 @@ class Trainer:
         found = run_episodes(self._envs, partial(act, self.agent.policy()), seeds, self._config.evaluation_to_end)
         found.require_numbers(self.env_steps)
         told = {DEMONSTRATIONS: self._config.demonstrations} if self._config.demonstrations else {}
-        facts = {"env_steps": self.env_steps, "training_episodes": self.episodes, **told}
+        when = {"env_steps": self.env_steps, DUE: due(self.env_steps, vars(self._config))}
+        facts = {**when, "training_episodes": self.episodes, **told}
         self.evaluations.append({**facts, **found.summary()})
         self._zoo.add_evaluation(self.env_steps, found)
         self.metrics.write_evaluation(self.evaluations[-1])

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from nerf_rl import cli
+from nerf_rl.rl.sweeps.runs import read_run
 
 ROOT = Path(__file__).parents[3]
 TINY = ["--config", str(ROOT / "rl" / "gym.yaml"), "--env_steps", "900", "--warmup_steps", "60", "--envs", "1"]
@@ -189,6 +190,15 @@ def test_a_sweep_of_a_baseline_whose_runs_have_ended_is_not_made_longer(
     assert cli.main(["train-rl", *SWEEP, "--out", str(out), *longer]) == 2
     assert "--algo ppo cannot go on with a run that has ended, as seeds 0, 1 of" in capsys.readouterr().err
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*")} == before
+
+
+def test_a_longer_run_knows_when_its_evaluation_at_the_earlier_end_was_due(tmp_path: Path):
+    run, keys = tmp_path / "run", ["--envs", "2", "--evaluation_every", "300", "--evaluation_episodes", "1"]
+    for steps, words in (("311", []), ("600", ["--resume", "true"])):
+        assert cli.main(["train-rl", *TINY, *keys, "--env_steps", steps, "--out", str(run), *words]) == 0
+    evaluations = read_run(run)["evaluations"]
+    assert [evaluation["due"] for evaluation in evaluations] == [300, 311, 600]
+    assert evaluations[1]["env_steps"] > 311  # both environments step at once
 
 
 def test_a_single_run_does_not_become_a_sweep(undisturbed: Path, capsys: pytest.CaptureFixture[str]):
