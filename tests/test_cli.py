@@ -112,8 +112,9 @@ def test_a_name_longer_than_the_file_system_allows_is_a_sentence(
     assert "x" * 300 in said
 
 
-def test_the_process_exits_with_the_code_of_main():
-    finished = subprocess.run([sys.executable, "-m", "nerf_rl.cli", "fly"], capture_output=True, text=True)
+@pytest.mark.parametrize("module", ["nerf_rl", "nerf_rl.cli"])
+def test_the_process_exits_with_the_code_of_main(module: str):
+    finished = subprocess.run([sys.executable, "-m", module, "fly"], capture_output=True, text=True)
     assert finished.returncode == 2
     assert finished.stderr.count("\n") == 1
 

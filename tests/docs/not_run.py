@@ -19,7 +19,7 @@ LINES = {
     "optuna-dashboard runs/tune/study.journal": "a program of others, which no extra installs",
     "nerf-rl doctor": "takes half a minute, and is run as a whole in tests/doctor/test_doctor.py",
     "nerf-rl pretrain ... --devices 2": "run on two processes in tests/pretrain/execution/test_pretrain_devices.py",
-    "torchrun --nproc-per-node 2 -m nerf_rl.cli pretrain ... --devices 2": "the same under another launcher",
+    "torchrun --nproc-per-node 2 -m nerf_rl pretrain ... --devices 2": "the same under another launcher",
     "srun --nodes 2 --ntasks-per-node 4 --gpus-per-node 4 nerf-rl pretrain ... --devices 4 --nodes 2": "a cluster's",
     "nerf-rl tune --config rl/tune.yaml --storage mysql://user:password@host/tune --study drawer --out runs/tune": (
         "needs a database server"

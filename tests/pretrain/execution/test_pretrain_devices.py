@@ -51,7 +51,7 @@ def alone(arguments: Arguments, tmp_path_factory: pytest.TempPathFactory) -> Pat
 def together(arguments: Arguments, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The run folder of two processes, which was killed with one of them after the first epoch, and resumed."""
     out = tmp_path_factory.mktemp("devices") / "together"
-    command = [sys.executable, "-m", "nerf_rl.cli", *arguments(out, *TWO)]
+    command = [sys.executable, "-m", "nerf_rl", *arguments(out, *TWO)]
     run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     wait_until(lambda: (out / "checkpoints" / "last.ckpt").is_file() or run.poll() is not None)
     os.kill(ranks_of(run.pid)[1], signal.SIGKILL)
