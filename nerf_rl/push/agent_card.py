@@ -13,6 +13,7 @@ from nerf_rl.push.encoder_card import describe_cameras
 from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION
 from nerf_rl.rl.config import BLIND, EYES_OF_CONTROLS, NO_CONTROL, RANDOM
 from nerf_rl.rl.training.evaluation_results import HIGH, LOW, SUCCESS, read_evaluations, with_demonstrations
+from nerf_rl.scenes.base import GYM
 
 _TAGS = ("reinforcement-learning", "deep-reinforcement-learning")
 _UNCONTROLLED = "No control stands beside it, so nothing here tells what the same agent would reach without seeing."
@@ -95,6 +96,7 @@ def agent_card(
             *_figures(evaluations, env.get("control", NO_CONTROL), controls),
             *([_UNCONTROLLED] if encoder is not None and _is_alone(env, controls) else []),
             "## How to run it",
+            *_registering(env["scene"]),
             installing(naming),
             code(
                 "sh",
@@ -106,6 +108,14 @@ def agent_card(
             *last_sections(naming, _made(description, summary), description.get("packages", {})),
         ]
     )
+
+
+def _registering(scene: str) -> list[str]:
+    """Return where the environment comes from, if it is not Gymnasium's own."""
+    module = scene.removeprefix(GYM).rpartition(":")[0]
+    if not scene.startswith(GYM) or not module:
+        return []
+    return [f"Its environment is registered by the Python module `{module}`, which has to be where Python finds it."]
 
 
 def _is_alone(env: Mapping[str, Any], controls: Sequence[Control]) -> bool:

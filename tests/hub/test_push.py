@@ -99,6 +99,22 @@ def test_an_agent_is_evaluated_from_the_hub_with_the_encoder_that_it_brings(
     assert sheet.stat().st_size > 0
 
 
+@pytest.mark.parametrize(
+    "scene, module",
+    [("gym/my_tasks:Lift-v0", "my_tasks"), ("gym/shimmy:dm_control/walker-walk-v0", "shimmy"), ("gym/Ant-v5", "")],
+)
+def test_the_card_of_an_agent_says_what_module_its_environment_needs(
+    scene: str, module: str, tiny_agent: Path, tmp_path: Path
+):
+    run, out = tmp_path / "agent", tmp_path / "folder"
+    shutil.copytree(tiny_agent, run, ignore=shutil.ignore_patterns("checkpoints", "logs"))
+    policy = json.loads((run / "policy.json").read_text())
+    (run / "policy.json").write_text(json.dumps({**policy, "env": {**policy["env"], "scene": scene}}))
+    assert push(run, "--out", str(out)) == 0
+    said = f"registered by the Python module `{module}`"
+    assert (said in (out / "README.md").read_text()) == bool(module)
+
+
 def test_the_card_of_an_agent_has_its_rate_its_interval_and_the_control_beside(
     tiny_agent: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
