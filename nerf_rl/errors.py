@@ -50,10 +50,11 @@ class MissingFileError(UserError):
 
 
 class OutputExistsError(UserError):
-    """The output folder already holds something that would be lost."""
+    """The output already holds something that would be lost."""
 
-    def __init__(self, path: Path | str, choices: str):
-        super().__init__(f"output folder {path} already exists and is not empty; {choices}")
+    def __init__(self, path: Path, choices: str):
+        there = f"file {path} already exists" if path.is_file() else f"folder {path} already exists and is not empty"
+        super().__init__(f"output {there}; {choices}")
 
 
 class RigMismatchError(UserError):

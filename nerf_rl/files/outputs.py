@@ -41,6 +41,8 @@ def check_output(
     broken = next((path for path in (folder, *folder.parents) if path.is_symlink() and not path.exists()), None)
     if broken is not None:
         raise UserError(f"{broken} is a link to {broken.readlink()}, which there is not; make it, or use another --out")
+    if folder.is_file():
+        raise OutputExistsError(folder, "a folder is what is written; use another --out")
     if not _in_use(folder) or (resume and (can_resume or _cut_off_early(folder, command))):
         return
     ours = (folder / PROVENANCE).is_file()
@@ -116,7 +118,7 @@ def prepare_output(
 
 
 def _in_use(folder: Path) -> bool:
-    return folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
+    return folder.exists() and any(folder.iterdir())
 
 
 def _empty(folder: Path) -> None:

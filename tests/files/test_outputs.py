@@ -61,6 +61,14 @@ def test_a_full_folder_is_refused_and_kept(ours: Path):
     assert (ours / "old.txt").read_text() == "old"
 
 
+@pytest.mark.parametrize("asked", [{"overwrite": False}, {"overwrite": True}, {"overwrite": False, "resume": True}])
+def test_a_file_is_refused_as_one_and_kept(asked: dict[str, bool], tmp_path: Path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputExistsError, match=r"^output file .*file already exists; a folder is what is written"):
+        outputs.prepare_output(tmp_path / "file", **asked)
+    assert (tmp_path / "file").is_file()
+
+
 def test_resuming_is_offered_only_where_it_is_possible(ours: Path, foreign: Path):
     with pytest.raises(OutputExistsError, match="--resume true"):
         outputs.prepare_output(ours, overwrite=False, can_resume=True)

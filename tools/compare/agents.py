@@ -91,9 +91,8 @@ def ingredients(arm: str) -> list[str]:
 
 
 def arm_keys(arm: str) -> list[str]:
-    """Return the keys of an arm, a recipe first, since what comes later overrides it."""
-    parts = sorted((INGREDIENTS[part] for part in ingredients(arm)), key=lambda keys: keys[:1] != ["--config"])
-    return [key for part in parts for key in part]
+    """Return the keys of an arm."""
+    return [key for part in ingredients(arm) for key in INGREDIENTS[part]]
 
 
 def record(scene: str, eyes: str, env_steps: int, arm: str, keys: list[str], runs: list[dict[str, Any]]) -> None:
