@@ -14,6 +14,7 @@ from typing import Any
 from nerf_rl import __version__
 from nerf_rl.errors import FailureError, UnknownNameError, UserError
 from nerf_rl.files.folder_lock import release_folders
+from nerf_rl.machine.termination import Termination
 
 _LONGEST_SENTENCE = 4000  # characters; lists of what is available are long
 
@@ -112,7 +113,7 @@ COMMANDS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a sub-command; return 0, 1 (failure), 2 (the user's mistake) or 130 (interrupted)."""
+    """Run a sub-command; return 0, 1 (failure), 2 (the user's mistake), 130 (interrupted) or 143 (terminated)."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     if not arguments or arguments[0] in ("-h", "--help"):
         print(_help())
@@ -120,11 +121,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments[0] == "--version":
         print(f"nerf-rl {__version__}")
         return 0
-    name, rest = arguments[0], arguments[1:]
+    with Termination() as termination:
+        return _run(arguments[0], arguments[1:], termination)
+
+
+def _run(name: str, arguments: Sequence[str], termination: Termination) -> int:
     try:
         if name not in COMMANDS:
             raise UnknownNameError("command", name, COMMANDS)
-        config = parse(name, rest)
+        config = parse(name, arguments)
         _load(COMMANDS[name].function)(config)
     except UserError as error:
         print(f"nerf-rl {name}: {_one_line(error)}", file=sys.stderr)
@@ -133,8 +138,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"nerf-rl {name}: {_one_line(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print(f"nerf-rl {name}: interrupted", file=sys.stderr)
-        return 130
+        print(f"nerf-rl {name}: {'terminated' if termination.asked else 'interrupted'}", file=sys.stderr)
+        return 143 if termination.asked else 130
     except Exception as error:
         if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
             print(f"nerf-rl {name}: {error.filename} is a longer name than the file system allows", file=sys.stderr)

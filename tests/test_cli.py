@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -31,6 +32,8 @@ def toy_command(config: ToyConfig) -> None:
         "interrupt": KeyboardInterrupt(),
         "bug": RuntimeError("ouch"),
     }
+    if config.outcome == "terminate":
+        signal.raise_signal(signal.SIGTERM)
     if config.outcome in errors:
         raise errors[config.outcome]
 
@@ -88,7 +91,8 @@ def test_no_command_is_a_usage_error_that_shows_the_help(capsys: pytest.CaptureF
 
 
 @pytest.mark.parametrize(
-    "outcome, code", [("success", 0), ("bug", 1), ("failure", 1), ("mistake", 2), ("interrupt", 130)]
+    "outcome, code",
+    [("success", 0), ("bug", 1), ("failure", 1), ("mistake", 2), ("interrupt", 130), ("terminate", 143)],
 )
 def test_the_exit_code_tells_how_a_command_ended(toy: str, outcome: str, code: int):
     assert cli.main([toy, "--outcome", outcome]) == code

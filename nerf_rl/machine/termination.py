@@ -1,0 +1,40 @@
+"""SIGTERM, by which a cluster's scheduler or a container asks a process to end before it is killed."""
+
+import os
+import signal
+import threading
+from types import FrameType, TracebackType
+
+
+class Termination:
+    """While entered, SIGTERM interrupts this process as Ctrl-C does, so that it ends its children and says so.
+
+    A second one ends it at once. Where somebody handles or ignores the signal already, or outside the main thread,
+    nothing is changed.
+    """
+
+    def __init__(self) -> None:
+        self.asked = False
+        """whether the signal came"""
+        self._process = os.getpid()
+        self._ours = False
+
+    def __enter__(self) -> "Termination":
+        in_main_thread = threading.current_thread() is threading.main_thread()
+        self._ours = in_main_thread and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+        if self._ours:
+            signal.signal(signal.SIGTERM, self._interrupt)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._ours:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+    def _interrupt(self, number: int, frame: FrameType | None) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        if os.getpid() != self._process:  # a fork, which whoever ends it expects to end at once
+            os.kill(os.getpid(), signal.SIGTERM)
+        self.asked = True
+        raise KeyboardInterrupt
