@@ -179,6 +179,14 @@ def test_a_value_out_of_range_is_answered_in_the_users_words(capsys: pytest.Capt
     assert capsys.readouterr().err == "nerf-rl gen-dataset: --episodes must be at least 1, got 0\n"
 
 
+@pytest.mark.parametrize("number", ["-3", "-.5", "-3e-05", "-1.5E1"])
+@pytest.mark.parametrize("joined", [False, True])
+def test_a_negative_number_is_the_value_of_the_key_before(number: str, joined: bool):
+    words = [f"--ppo.log-std-init={number}"] if joined else ["--ppo.log-std-init", number]
+    config = cli.parse("train-rl", ["--out", "x", *words, "--learner.gamma", "0.5"])
+    assert (config.ppo.log_std_init, config.learner.gamma) == (float(number), 0.5)
+
+
 def test_a_missing_key_is_named(capsys: pytest.CaptureFixture[str]):
     assert cli.main(["gen-dataset"]) == 2
     assert "missing --out" in capsys.readouterr().err

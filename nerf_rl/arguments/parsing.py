@@ -15,6 +15,7 @@ from nerf_rl.arguments.limits import require_finite
 from nerf_rl.arguments.recipes import check_all_that_is_read, check_part, check_recipe, is_part, require_keys
 from nerf_rl.errors import UserError
 
+_NEGATIVE_NUMBER = re.compile(r"-(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
 _ALONE = ("-h", "--help", "--print_config")  # keys without a value
 
 set_parsing_settings(docstring_parse_attribute_docstrings=True)
@@ -38,6 +39,7 @@ def parse_config(config: type, program: str, description: str, arguments: Sequen
     """
     parser = _parser(config, program, description)
     arguments = [re.sub(r"^--[^=]+", lambda key: "--" + key[0][2:].replace("-", "_"), word) for word in arguments]
+    arguments = list(_join_negative_numbers(arguments))
     arguments = list(_name_positional(arguments, positional)) if positional else arguments
     arguments = sorted(_check_recipes(arguments, config), key=lambda word: not word.startswith("--config="))
     try:
@@ -75,6 +77,19 @@ def _parser(config: type, program: str = "", description: str = "") -> ArgumentP
         parser.add_argument("--config", action=ActionConfigFile, help="recipe (YAML); --key value overrides it")
     parser.add_class_arguments(config)
     return parser
+
+
+def _join_negative_numbers(arguments: Sequence[str]) -> Iterator[str]:
+    """Yield the arguments with ``--key=-1e-05`` in place of two words, since argparse takes such a number for a key."""
+    words = iter(arguments)
+    for word in words:
+        while word.startswith("--") and "=" not in word and (value := next(words, None)) is not None:
+            if _NEGATIVE_NUMBER.fullmatch(value):
+                word = f"{word}={value}"
+            else:
+                yield word
+                word = value
+        yield word
 
 
 def _check_recipes(arguments: Sequence[str], config: type) -> Iterator[str]:

@@ -181,6 +181,8 @@ class RandomCameraConfig:
             _check_range(label, name, getattr(self, name))
         for elevation in self.elevation:
             _check_view(label, min(self.distance, default=0.0), self.fovy, elevation)
+        if self.lookat_spread is not None and self.lookat_spread < 0:
+            raise UserError(f"{label}: lookat_spread must be 0 or more, got {self.lookat_spread}")
         if self.distance and min(self.distance) <= 0:
             raise UserError(f"{label}: distance must be positive, got {self.distance}")
 

@@ -43,9 +43,9 @@ def trial_config(config: TuneConfig, params: Mapping[str, Any], out: str, seed: 
     before = _parse(arguments, values)
     for key, value in elements.items():
         name, _, index = key.rpartition(".")
-        whole = values.get(name, value_at(before, name))
+        whole = values.get(name, _value_if_any(before, name))
         if not isinstance(whole, (list, tuple)):
-            raise UserError(f"--space: {key} is an element of {name}, which is no list")
+            raise UserError(f"--space: {key} is an element of {name or 'nothing'}, which is no list of train-rl's")
         whole = list(whole)
         if int(index) >= len(whole):
             raise UserError(f"--space: {key} is beyond the {len(whole)} elements of {name}")
@@ -59,6 +59,13 @@ def value_at(config: Any, key: str) -> Any:
     for part in key.split("."):
         config = config[int(part)] if isinstance(config, list) else getattr(config, part)
     return config
+
+
+def _value_if_any(config: Any, key: str) -> Any:
+    try:
+        return value_at(config, key)
+    except (AttributeError, IndexError, ValueError):
+        return None
 
 
 def distributions(space: Mapping[str, Range]) -> dict[str, BaseDistribution]:
@@ -95,6 +102,7 @@ def check_space(config: TuneConfig) -> TrainRLConfig:
     for key, distribution in distributions(config.space).items():
         for value in _ends(distribution):
             trial_config(config, {key: value}, "unused")
+    trial_config(config, {}, "unused", config.seeds - 1)
     return base
 
 
@@ -108,7 +116,8 @@ def _written(value: Any) -> str:
 
 
 def _is_element(key: str) -> bool:
-    return key.rpartition(".")[2].isdigit()
+    index = key.rpartition(".")[2]
+    return index.isascii() and index.isdecimal()
 
 
 def _distribution(searched: Range) -> BaseDistribution:

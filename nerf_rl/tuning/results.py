@@ -18,7 +18,7 @@ from nerf_rl.tuning.config import TuneConfig
 from nerf_rl.tuning.objective import ENV_STEPS
 from nerf_rl.tuning.recipe import trial_config
 
-TRIALS, BEST, HISTORY = "trials.csv", "best.yaml", "history.png"
+TRIALS, BEST, HISTORY, RECIPE = "trials.csv", "best.yaml", "history.png", "recipe.yaml"
 
 
 def write_results(study: optuna.Study, config: TuneConfig, seconds: float) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from optuna.storages.journal import BaseJournalBackend, JournalFileBackend, Jour
 from nerf_rl.errors import UserError
 
 JOURNAL = "study.journal"
+_FIRST_WORDS = b'{"op_code":'
 
 
 class KernelLock:
@@ -47,22 +48,37 @@ def open_storage(storage: str, out: Path) -> BaseStorage:
         out: the output folder.
 
     Raises:
-        UserError: it cannot be opened, say because a database driver or the journal's folder is missing.
+        UserError: it cannot be opened, say because a database driver or the journal's folder is missing, or because the
+            file is something else, which is left as it is.
     """
+    path = Path(storage) if storage else out / JOURNAL
     if "://" not in storage:
-        path = Path(storage) if storage else out / JOURNAL
-        if not path.parent.is_dir():
-            raise UserError(f"--storage {storage} cannot be opened: there is no folder {path.parent}")
-        backend: BaseJournalBackend = JournalFileBackend(str(path), lock_obj=KernelLock(path))  # type: ignore[arg-type]
-        return JournalStorage(backend)
+        _require_journal(path)
     try:
+        if "://" not in storage:
+            backend: BaseJournalBackend = JournalFileBackend(str(path), lock_obj=KernelLock(path))  # type: ignore[arg-type]
+            return JournalStorage(backend)
         if storage.startswith("redis"):
             return JournalStorage(JournalRedisBackend(storage))
         patience = {"connect_args": {"timeout": 60}} if storage.startswith("sqlite") else {}
         return RDBStorage(storage, engine_kwargs=patience)
     except Exception as error:  # each database driver has errors of its own
-        reason = " ".join(str(error).split())
-        raise UserError(f"--storage {storage} cannot be opened: {reason}") from error
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise UserError(f"--storage {storage or path} cannot be opened: {reason}") from error
+
+
+def _require_journal(path: Path) -> None:
+    """Raise UserError if there can be no journal, or if there is something else, by the beginning of its first line."""
+    if not path.parent.is_dir():
+        raise UserError(f"--storage {path} cannot be opened: there is no folder {path.parent}")
+    if not path.exists():
+        return
+    begins = b""
+    if path.is_file():
+        with open(path, "rb") as file:
+            begins = file.read(len(_FIRST_WORDS))
+    if not path.is_file() or not _FIRST_WORDS.startswith(begins):  # a killed writer may have left less than all of it
+        raise UserError(f"--storage {path} is no journal of Optuna's; a database has a URL, such as sqlite:///study.db")
 
 
 def _drop_unfinished_line(file: int) -> None:

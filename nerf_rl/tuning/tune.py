@@ -12,6 +12,7 @@ from optuna.storages import BaseStorage
 
 from nerf_rl.arguments.stored_keys import require_same_keys, with_defaults
 from nerf_rl.errors import UserError
+from nerf_rl.files.atomic import write_text
 from nerf_rl.files.outputs import check_output, command_of, plain, prepare_output, require_outside, write_provenance
 from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
 from nerf_rl.rl.environments.encoder_match import check_encoder_scene
@@ -19,10 +20,10 @@ from nerf_rl.rl.sweeps.workers import training_modules
 from nerf_rl.tuning.config import TuneConfig
 from nerf_rl.tuning.objective import TrainingObjective, runs_of
 from nerf_rl.tuning.recipe import check_space
-from nerf_rl.tuning.results import BEST, write_results
+from nerf_rl.tuning.results import BEST, RECIPE, TRIALS, write_results
 from nerf_rl.tuning.search import Search, search_of
 from nerf_rl.tuning.storage import open_storage
-from nerf_rl.tuning.supervisor import supervise
+from nerf_rl.tuning.supervisor import StudyFailedError, supervise
 from nerf_rl.tuning.worker import Task
 
 _CONTENT, _ITERATIONS = "content", "iterations"
@@ -35,7 +36,7 @@ def tune(config: TuneConfig) -> dict[str, Any]:
 
     Raises:
         UserError: a key or range that train-rl refuses, a storage that cannot be opened or holds another search.
-        StudyFailedError: trials or workers keep failing.
+        StudyFailedError: trials or workers keep failing, or no trial ended well.
     """
     start, out = time.monotonic(), Path(config.out)
     base = check_space(config)
@@ -44,6 +45,8 @@ def tune(config: TuneConfig) -> dict[str, Any]:
         check_encoder_scene(base.encoder, base.scene)
         if not config.resume:
             require_outside(out, base.encoder)
+    if config.recipe and not config.resume:
+        require_outside(out, config.recipe)
     begun = _is_search(out)
     if begun and config.resume:
         require_same_keys(out, {**config.content(), "storage": config.storage, "study": config.study}, TuneConfig)
@@ -58,17 +61,26 @@ def tune(config: TuneConfig) -> dict[str, Any]:
     study, search = open_study(storage, config, content, search_of(config, trials, base.env_steps))
     first = len(study.get_trials(deepcopy=False))
     print(f"tune writes to {out}; {trials} trials of {config.seeds * base.env_steps} environment steps", flush=True)
+    config = _with_recipe_of_its_own(config, out)
     objective, modules = TrainingObjective(config), training_modules(base.device)
     task = Task(objective, search, config.out, config.storage, config.study, trials, first, modules)
     study = supervise(task, config.workers)
     if not config.keep_runs:
         shutil.rmtree(runs_of(config.out), ignore_errors=True)  # what killed trials left
     summary = write_results(study, config, time.monotonic() - start)
-    best = (
-        f"best {config.fitness} {summary['best_value']:.4g}" if summary["best_trial"] is not None else "no trial ended"
-    )
-    print(f"{best}; {summary['env_steps']} environment steps in all; see {out / BEST}", flush=True)
+    spent = f"{summary['env_steps']} environment steps in all"
+    if summary["best_trial"] is None:
+        raise StudyFailedError(f"every trial was pruned or diverged; {spent}; see {out / TRIALS}")
+    print(f"best {config.fitness} {summary['best_value']:.4g}; {spent}; see {out / BEST}", flush=True)
     return summary
+
+
+def _with_recipe_of_its_own(config: TuneConfig, out: Path) -> TuneConfig:
+    """Copy the recipe into the output folder, so that whoever edits it meanwhile does not change trials to come."""
+    if not config.recipe:
+        return config
+    write_text(out / RECIPE, Path(config.recipe).read_text(encoding="utf-8"))
+    return dataclasses.replace(config, recipe=str(out / RECIPE))
 
 
 def trials_of(config: TuneConfig, base: TrainRLConfig) -> int:

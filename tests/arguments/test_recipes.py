@@ -183,6 +183,7 @@ EVALUATION = ["evaluate", "--run", "r", "--out", "o"]
         ([*DATASET, "--rig.domes", '[{"count": 1000000000}]'], "a dataset has at most 256 cameras"),
         ([*DATASET, "--rig.rings", '[{"count": 1000000000}]'], "a dataset has at most 256 cameras"),
         ([*DATASET, "--rig.random.azimuth", "[-1e308, 1e308]"], "numbers must be from -1000000.0 to 1000000.0"),
+        ([*DATASET, "--rig.random.lookat_spread", "-1"], "random cameras: lookat_spread must be 0 or more, got -1.0"),
         ([*DATASET, "--rig.cameras", '[{"name": "a", "azimuth": .inf}]'], "got inf"),
         ([*ENCODER, "--encoder.hidden", str(10**9)], "--encoder.hidden must be at most 16384"),
         ([*ENCODER, "--encoder.channels", f"[8, {10**9}]"], "--encoder.channels must be at most 4096, got 1000000000"),

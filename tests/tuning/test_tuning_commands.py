@@ -5,12 +5,14 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
 from nerf_rl import cli
 from nerf_rl.tuning.recipe import check_space, start_values, trial_config
 from nerf_rl.tuning.tune import trials_of
+from nerf_rl.tuning.worker import Task
 
 ROOT = Path(__file__).parents[2]
 
@@ -109,6 +111,13 @@ def test_a_search_leaves_what_it_promises_and_goes_on(
         ),
         (["--space", "{learner.gamma.0: {low: 0, high: 1}}"], "learner.gamma.0 is an element of learner.gamma, which"),
         (["--space", "{scene.0: {choices: [a]}}"], "scene.0 is an element of scene, which is no list"),
+        (
+            ["--space", "{netwrok.hidden.0: {low: 8, high: 16}}"],
+            "netwrok.hidden.0 is an element of netwrok.hidden",
+        ),
+        (["--space", "{'5': {low: 8, high: 16}}"], "5 is an element of nothing, which is no list of train-rl's"),
+        (["--space", "{network.hidden.²: {low: 8, high: 16}}"], "unknown key 'network.hidden.²'"),
+        (["--overrides.seed", "4294967295", "--seeds", "2"], "--seed must be at most 4294967295, got 4294967296"),
         (["--space", "{out: {choices: [a, b]}}"], "out is set for each trial by tune"),
         (["--space", "{print_config: {choices: [a]}}"], "print_config is set for each trial by tune"),
         (["--space", "{seed: {low: 0, high: 3, integer: true}}"], "seed cannot be searched"),
@@ -133,6 +142,49 @@ def test_a_mistake_is_told_in_a_sentence_and_nothing_is_written(
     message = capsys.readouterr().err
     assert words in message and message.count("\n") == 1
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    "content", [b"a line that matters", b'{"a": 1}\n', b"SQLite format 3\0", b'{"op_code":0}\nno line of it\n', None]
+)
+def test_a_storage_that_is_no_journal_is_refused_and_kept(
+    content: bytes | None, recipe: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    storage, out = tmp_path / "storage", tmp_path / "tune"
+    if content is None:
+        storage.mkdir()
+    else:
+        storage.write_bytes(content)
+    assert cli.main(["tune", "--config", recipe, "--out", str(out), "--storage", str(storage)]) == 2
+    message = capsys.readouterr().err
+    assert message.startswith(f"nerf-rl tune: --storage {storage} ") and message.count("\n") == 1
+    assert not out.exists() and (storage.is_dir() if content is None else storage.read_bytes() == content)
+
+
+def test_a_recipe_that_is_edited_meanwhile_changes_no_trial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    of_runs, seen = tmp_path / "runs.yaml", []
+    of_runs.write_text("env_steps: 4000\n")
+
+    def supervise(task: Task, workers: int) -> NoReturn:
+        of_runs.write_text("env_steps: 5000\n")
+        seen.append(trial_config(task.objective.config, {}, "x").env_steps)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("nerf_rl.tuning.tune.supervise", supervise)
+    words = ["--recipe", str(of_runs), "--space", "{learner.actor_rate: {low: 0.1, high: 0.2}}"]
+    assert cli.main(["tune", *words, "--out", str(tmp_path / "tune")]) == 130
+    assert seen == [4000]
+
+
+def test_a_search_none_of_whose_trials_ends_well_says_so(
+    recipe: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "tune"
+    words = ["--space", "{learner.actor_rate: {low: 1.0e+30, high: 1.0e+32}}", "--trials", "1", "--workers", "1"]
+    assert cli.main(["tune", "--config", recipe, "--out", str(out), *words]) == 1
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert "every trial was pruned or diverged" in said and said.endswith(f"see {out / 'trials.csv'}")
+    assert (out / "trials.csv").is_file() and not (out / "best.yaml").exists()
 
 
 def test_a_mistake_is_answered_without_importing_torch(recipe: str, tmp_path: Path) -> None:
