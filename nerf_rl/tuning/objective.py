@@ -76,6 +76,11 @@ class TrainingObjective:
             release_folders()
 
 
+def trial_of(folder: Path) -> int:
+    """Return the number of the trial that a run folder belongs to."""
+    return int(folder.name.partition("-")[0])
+
+
 def runs_of(out: str) -> Path:
     """Return the folder of the trials' run folders."""
     return Path(out) / "trials"

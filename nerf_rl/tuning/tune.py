@@ -1,5 +1,6 @@
 """``nerf-rl tune``: search the keys of train-rl on any number of processes and machines."""
 
+import contextlib
 import dataclasses
 import json
 import shutil
@@ -9,6 +10,7 @@ from typing import Any
 
 import optuna
 from optuna.storages import BaseStorage
+from optuna.trial import TrialState
 
 from nerf_rl.arguments.stored_keys import require_same_keys, with_defaults
 from nerf_rl.errors import UserError
@@ -18,7 +20,7 @@ from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
 from nerf_rl.rl.environments.encoder_match import check_encoder_scene
 from nerf_rl.rl.sweeps.workers import training_modules
 from nerf_rl.tuning.config import TuneConfig
-from nerf_rl.tuning.objective import TrainingObjective, runs_of
+from nerf_rl.tuning.objective import TrainingObjective, runs_of, trial_of
 from nerf_rl.tuning.recipe import check_space
 from nerf_rl.tuning.results import BEST, RECIPE, TRIALS, write_results
 from nerf_rl.tuning.search import Search, search_of
@@ -45,8 +47,8 @@ def tune(config: TuneConfig) -> dict[str, Any]:
         check_encoder_scene(base.encoder, base.scene)
         if not config.resume:
             require_outside(out, base.encoder)
-    if config.recipe and not config.resume:
-        require_outside(out, config.recipe)
+    if not config.resume:
+        require_outside(out, *(path for path in (config.recipe, config.storage) if path and "://" not in path))
     begun = _is_search(out)
     if begun and config.resume:
         require_same_keys(out, {**config.content(), "storage": config.storage, "study": config.study}, TuneConfig)
@@ -66,13 +68,24 @@ def tune(config: TuneConfig) -> dict[str, Any]:
     task = Task(objective, search, config.out, config.storage, config.study, trials, first, modules)
     study = supervise(task, config.workers)
     if not config.keep_runs:
-        shutil.rmtree(runs_of(config.out), ignore_errors=True)  # what killed trials left
+        _remove_lost_runs(study, runs_of(config.out))
     summary = write_results(study, config, time.monotonic() - start)
     spent = f"{summary['env_steps']} environment steps in all"
     if summary["best_trial"] is None:
         raise StudyFailedError(f"every trial was pruned or diverged; {spent}; see {out / TRIALS}")
     print(f"best {config.fitness} {summary['best_value']:.4g}; {spent}; see {out / BEST}", flush=True)
     return summary
+
+
+def _remove_lost_runs(study: optuna.Study, runs: Path) -> None:
+    """Delete what killed trials left; of finished ones only what an earlier session was to keep is still there."""
+    finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.PRUNED))
+    kept = {trial.number for trial in finished}
+    for folder in runs.glob("[0-9]*-*"):
+        if trial_of(folder) not in kept:
+            shutil.rmtree(folder, ignore_errors=True)
+    with contextlib.suppress(OSError):  # not empty, or not there
+        runs.rmdir()
 
 
 def _with_recipe_of_its_own(config: TuneConfig, out: Path) -> TuneConfig:

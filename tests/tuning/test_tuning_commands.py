@@ -7,11 +7,14 @@ import sys
 from pathlib import Path
 from typing import NoReturn
 
+import optuna
 import pytest
+from optuna.distributions import BaseDistribution
+from optuna.trial import TrialState
 
 from nerf_rl import cli
 from nerf_rl.tuning.recipe import check_space, start_values, trial_config
-from nerf_rl.tuning.tune import trials_of
+from nerf_rl.tuning.tune import _remove_lost_runs, trials_of
 from nerf_rl.tuning.worker import Task
 
 ROOT = Path(__file__).parents[2]
@@ -174,6 +177,33 @@ def test_a_recipe_that_is_edited_meanwhile_changes_no_trial(tmp_path: Path, monk
     words = ["--recipe", str(of_runs), "--space", "{learner.actor_rate: {low: 0.1, high: 0.2}}"]
     assert cli.main(["tune", *words, "--out", str(tmp_path / "tune")]) == 130
     assert seen == [4000]
+
+
+def test_a_folder_that_holds_its_own_recipe_or_storage_is_not_emptied(
+    recipe: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "tune"
+    out.mkdir()
+    (out / "provenance.json").write_text('{"command": "tune"}')
+    (out / "best.yaml").write_text("learner: {tau: 0.5}\n")
+    (out / "study.journal").write_text('{"op_code":0')
+    for key, name in (("--recipe", "best.yaml"), ("--storage", "study.journal")):
+        words = ["--config", recipe, "--out", str(out), key, str(out / name), "--overwrite", "true"]
+        assert cli.main(["tune", *words]) == 2
+        assert f"{out / name} lies in the output folder {out}" in capsys.readouterr().err
+        assert (out / name).is_file()
+
+
+def test_runs_that_a_session_kept_stay_when_another_goes_on(tmp_path: Path) -> None:
+    study = optuna.create_study()
+    distributions: dict[str, BaseDistribution] = {}
+    for state in (TrialState.COMPLETE, TrialState.FAIL, TrialState.PRUNED):
+        value = 1.0 if state == TrialState.COMPLETE else None
+        study.add_trial(optuna.create_trial(state=state, value=value, params={}, distributions=distributions))
+    for name in ("00000-0", "00000-1", "00001-0", "00002-0", "00003-0"):
+        (tmp_path / name).mkdir()
+    _remove_lost_runs(study, tmp_path)
+    assert {folder.name for folder in tmp_path.iterdir()} == {"00000-0", "00000-1", "00002-0"}
 
 
 def test_a_search_none_of_whose_trials_ends_well_says_so(
