@@ -6,7 +6,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from nerf_rl.cameras.geometry import camera_position
-from nerf_rl.scenes.workspace import undrawn
+from nerf_rl.scenes.workspace import opacity, undrawn
 
 _ZERO = 1e-9
 _FAINT = 0.5  # of a mark's opacity, below which it is seen through
@@ -68,7 +68,7 @@ def faint_markers(model: mujoco.MjModel) -> Bool[ndarray, "G"]:
     """
     leads = model.body_mocapid[model.body_rootid[model.geom_bodyid]] >= 0
     touches = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    return leads & ~touches & (model.geom_rgba[:, 3] < _FAINT)
+    return leads & ~touches & (opacity(model) < _FAINT)
 
 
 def planes_from_behind(

@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float32
 from numpy import ndarray
 
 DRAWN_GROUPS = 3  # MuJoCo draws geoms of groups 0, 1 and 2
+_DEFAULT_COLOUR = (0.5, 0.5, 0.5, 1.0)  # of geoms in MJCF
 _ALIKE = 0.9  # of a shape's radius, from which on others may be what it stands for in collisions
 
 
@@ -49,7 +50,19 @@ class Workspace:
 
 def drawn_geoms(model: mujoco.MjModel) -> list[int]:
     """Return the geoms that can be seen."""
-    return np.flatnonzero(~undrawn(model) & (model.geom_rgba[:, 3] > 0)).tolist()
+    return np.flatnonzero(~undrawn(model) & (opacity(model) > 0)).tolist()
+
+
+def opacity(model: mujoco.MjModel) -> Float32[ndarray, "G"]:
+    """Return how opaque geoms are drawn: as their material is, unless they have a colour of their own.
+
+    That is MuJoCo's rule (``setMaterial`` in engine_vis_visualize.c); to have MJCF's default colour is to have none.
+    """
+    own, material = model.geom_rgba, model.geom_matid
+    goes_by_material = (material >= 0) & (own == np.array(_DEFAULT_COLOUR, np.float32)).all(1)
+    alpha = own[:, 3].copy()
+    alpha[goes_by_material] = model.mat_rgba[material[goes_by_material], 3]
+    return alpha
 
 
 def undrawn(model: mujoco.MjModel) -> Bool[ndarray, "G"]:
@@ -60,7 +73,7 @@ def undrawn(model: mujoco.MjModel) -> Bool[ndarray, "G"]:
     collide with nothing and are about as large together, which a mark on it is not.
     """
     drawn, collides = model.geom_group < DRAWN_GROUPS, (model.geom_contype | model.geom_conaffinity) != 0
-    to_look_at = np.flatnonzero(drawn & ~collides & (model.geom_rgba[:, 3] > 0))
+    to_look_at = np.flatnonzero(drawn & ~collides & (opacity(model) > 0))
     radii = np.zeros((model.nbody, DRAWN_GROUPS))  # of what a body has to look at alone, by group
     np.add.at(radii, (model.geom_bodyid[to_look_at], model.geom_group[to_look_at]), model.geom_rbound[to_look_at])
     others = (radii[model.geom_bodyid] * (np.arange(DRAWN_GROUPS) != model.geom_group[:, None])).sum(1)

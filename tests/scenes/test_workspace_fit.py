@@ -12,7 +12,7 @@ from nerf_rl.cameras.rig_config import CameraConfig, RandomCameraConfig, RigConf
 from nerf_rl.rendering.rigs import make_rig
 from nerf_rl.scenes.base import Scene
 from nerf_rl.scenes.make import make_scene
-from nerf_rl.scenes.workspace import Workspace
+from nerf_rl.scenes.workspace import Workspace, opacity
 from nerf_rl.scenes.workspace_fit import WorkspaceFit
 
 HEADINGS = (0.0, 90.0, -130.0)
@@ -116,3 +116,28 @@ def test_what_a_task_does_not_use_and_puts_away_is_not_looked_for(tmp_path: Path
     alone, away, near = ball(""), ball("10 10 0.03"), ball("1.2 0.5 0.03")
     np.testing.assert_allclose([*away.centre, away.radius], [*alone.centre, alone.radius])
     assert np.linalg.norm(near.centre - [1.2, 0.5, 0.03]) < near.radius
+
+
+ROOM = """<mujoco><option gravity="0 0 0"/>
+<asset><material name="clear" rgba="1 0 0 0"/><material name="dim" rgba="0 1 0 0.2"/></asset>
+<worldbody>
+  <body name="block" pos="0 0 1"><freejoint/><geom type="box" size="0.1 0.1 0.1" rgba="0 0 1 1"/></body>
+  <body name="cage"><joint type="slide" axis="0 0 1"/>
+    <geom type="box" size="5 5 5" contype="0" conaffinity="0" {}/></body>
+</worldbody></mujoco>"""
+HIDDEN = ['material="clear"', 'rgba="1 0 0 0"', 'material="dim" rgba="1 0 0 0"']
+SHOWN = ['material="dim"', 'material="clear" rgba="1 0 0 0.1"', 'material="clear" rgba="0.5 0.5 0.5 0.9"']
+
+
+@pytest.mark.parametrize("colour", [*HIDDEN, *SHOWN])
+def test_what_is_drawn_of_no_colour_is_not_looked_for(colour: str, tmp_path: Path):
+    path = tmp_path / "room.xml"
+    path.write_text(ROOM.format(colour))
+    scene = make_scene(str(path))
+    drawn = mujoco.MjvScene(scene.model, 100)
+    mujoco.mjv_updateScene(
+        scene.model, scene.data, mujoco.MjvOption(), None, mujoco.MjvCamera(), mujoco.mjtCatBit.mjCAT_ALL, drawn
+    )
+    by_mujoco = {geom.objid: geom.rgba[3] for geom in drawn.geoms[: drawn.ngeom]}
+    np.testing.assert_allclose(opacity(scene.model), [by_mujoco.get(geom, 0.0) for geom in range(2)])
+    assert (scene.workspace().radius < 1.0) == (colour in HIDDEN)
