@@ -1,5 +1,6 @@
 """Stable-Baselines3's models from our keys, and their policies as ours."""
 
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,7 @@ def make_model(config: TrainRLConfig, envs: VecEnv) -> Model:
     learner, actions = config.learner, int(np.prod(envs.action_space.shape or ()))
     scale = np.full(actions, config.noise.start)
     noise = None if config.algo == "sb3-sac" else NOISE[config.noise.kind](np.zeros(actions), scale)
+    each = Fraction(learner.updates_per_step * envs.num_envs).limit_denominator(1_000_000)  # step of all environments
     return OFF_POLICY[config.algo](
         "MlpPolicy",
         envs,
@@ -54,8 +56,8 @@ def make_model(config: TrainRLConfig, envs: VecEnv) -> Model:
         batch_size=learner.batch_size,
         tau=learner.tau,
         gamma=learner.gamma,
-        train_freq=1,
-        gradient_steps=max(1, round(learner.updates_per_step * envs.num_envs)),
+        train_freq=each.denominator,
+        gradient_steps=each.numerator,
         action_noise=noise,
         policy_kwargs={"net_arch": config.network.hidden},
         seed=config.seed,

@@ -4,6 +4,7 @@ import csv
 import json
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import own_environments
 import pytest
@@ -11,7 +12,7 @@ import torch
 
 from nerf_rl import cli
 from nerf_rl.rl.agents.policy import Policy
-from nerf_rl.rl.config import BASELINES, OFF_POLICY_BASELINES, TrainRLConfig
+from nerf_rl.rl.config import BASELINES, OFF_POLICY_BASELINES, LearnerConfig, TrainRLConfig
 
 pytest.importorskip("stable_baselines3", reason="extra sb3")
 
@@ -44,6 +45,25 @@ def test_a_baseline_leaves_what_our_own_agent_leaves(algo: str, tmp_path: Path) 
     assert float(rows[-1]["episode_length"]) == 20 and float(rows[-1]["critic_loss"]) > 0
     assert not [path for path in out.rglob("*") if path.suffix in (".zip", ".pkl", ".pt", ".pth")]
     assert cli.main(["evaluate", "--run", str(out), "--out", str(tmp_path / "evaluation"), "--episodes", "2"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("envs", "updates", "frequency", "steps"),
+    [(1, 1.0, 1, 1), (2, 1.5, 1, 3), (1, 1.5, 2, 3), (1, 0.1, 10, 1), (2, 0.1, 5, 1)],
+)
+def test_off_policy_baselines_update_as_often_as_they_are_told(
+    envs: int, updates: float, frequency: int, steps: int, tmp_path: Path
+) -> None:
+    from stable_baselines3 import SAC
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    from nerf_rl.rl.baselines.models import make_model
+
+    learner = LearnerConfig(updates_per_step=updates)
+    config = TrainRLConfig(str(tmp_path), algo="sb3-sac", envs=envs, learner=learner)
+    model = make_model(config, DummyVecEnv([lambda: gymnasium.make("InvertedPendulum-v5")] * envs))
+    assert isinstance(model, SAC)
+    assert (model.train_freq.frequency, model.gradient_steps) == (frequency, steps)
 
 
 EXPORTS = [("ppo", True), ("ppo", False), *((algo, False) for algo in OFF_POLICY_BASELINES)]
