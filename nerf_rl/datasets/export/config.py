@@ -4,6 +4,9 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from nerf_rl.arguments.limits import Natural, NotNegative, Positive, check_values
+from nerf_rl.errors import UserError
+
+_VOXEL = 0.01
 
 
 @dataclass
@@ -25,7 +28,7 @@ class ExportConfig:
     """classes to leave out: masked in nerfstudio's scenes, absent from points and surfaces"""
     reach: NotNegative = 0.0
     """depth beyond which there are no points and surfaces [m]; 0: whatever was hit"""
-    voxel: Positive = 0.01
+    voxel: Positive = _VOXEL
     """edge of a mesh's voxels [m]"""
     cameras: list[str] = field(default_factory=list)
     """lerobot: cameras to export, the main one first; with none, all, the encoder's first"""
@@ -40,3 +43,8 @@ class ExportConfig:
 
     def __post_init__(self) -> None:
         check_values(self)
+        given = {"cameras": bool(self.cameras), "depth": not self.depth, "task": bool(self.task), "fps": self.fps > 0}
+        for key, is_given in {"voxel": self.voxel != _VOXEL, **given}.items():
+            of_format = "mesh" if key == "voxel" else "lerobot"
+            if is_given and self.format != of_format:
+                raise UserError(f"--{key} is for --format {of_format}, and means nothing to {self.format}")

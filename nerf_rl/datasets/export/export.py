@@ -13,7 +13,7 @@ from nerf_rl.datasets.export.lerobot.tables import load_parquet
 from nerf_rl.datasets.export.lerobot.videos import load_av
 from nerf_rl.datasets.export.lerobot.write import write_dataset
 from nerf_rl.datasets.export.mesh import load_open3d, write_mesh
-from nerf_rl.datasets.export.nerfstudio import write_scene
+from nerf_rl.datasets.export.nerfstudio import FARTHEST, write_scene
 from nerf_rl.datasets.export.seen import Seen, seen_in_frame
 from nerf_rl.datasets.storage.disk import explain_full_disk
 from nerf_rl.datasets.storage.frames import in_world, read_frame
@@ -69,7 +69,7 @@ def _frame_by_frame(dataset: MultiViewDataset, config: ExportConfig) -> Callable
         raise UserError(f"{dataset.folder} has no depth, which --format {config.format} is made of; use nerfstudio")
     if config.format == "mesh":
         load_open3d()
-    write_frame: dict[str, Callable[[Seen, Path], None]] = {
+    write_frame: dict[str, Callable[[Seen, Path], int | None]] = {
         "nerfstudio": lambda seen, path: write_scene(path, seen, dataset, bool(config.exclude)),
         "pointcloud": lambda seen, path: write_point_cloud(path.with_suffix(".ply"), seen.cloud()),
         "mesh": lambda seen, path: write_mesh(path.with_suffix(".ply"), seen, config.voxel),
@@ -77,11 +77,18 @@ def _frame_by_frame(dataset: MultiViewDataset, config: ExportConfig) -> Callable
 
     def write(out: Path) -> dict[str, int]:
         print(f"writing {len(frames)} frames as {config.format} to {out}")
+        too_far, pixels = 0, 0
         with Progress(len(frames), "frames") as progress:
             for index in frames:
                 seen = seen_in_frame(dataset, in_world(read_frame(dataset, int(index))), config.exclude, config.reach)
-                write_frame[config.format](seen, out / f"frame_{index:06d}")
+                too_far += write_frame[config.format](seen, out / f"frame_{index:06d}") or 0
+                pixels += seen.frame.depth.size
                 progress.advance()
+        if too_far:
+            print(
+                f"warning: {too_far / pixels:.1%} of the pixels show what is more than {FARTHEST:.1f} m away, which "
+                "nerfstudio's depth cannot hold; it is unknown there"
+            )
         return {"frames": len(frames)}
 
     return write

@@ -23,8 +23,12 @@ _METRES_PER_UNIT = 0.001  # of depth images: millimetres, nerfstudio's default
 _MOST_UNITS = 65535
 
 
-def write_scene(folder: Path, seen: Seen, dataset: MultiViewDataset, masks: bool) -> None:
-    """Write one frame as a scene folder; ``transforms.json`` comes last.
+FARTHEST = _MOST_UNITS * _METRES_PER_UNIT
+"""what depth images can hold [m]"""
+
+
+def write_scene(folder: Path, seen: Seen, dataset: MultiViewDataset, masks: bool) -> int:
+    """Write one frame as a scene folder, ``transforms.json`` last; return how many pixels are too far for its depth.
 
     There is no depth, no fused points and no labels of a dataset that lacks them.
 
@@ -37,12 +41,13 @@ def write_scene(folder: Path, seen: Seen, dataset: MultiViewDataset, masks: bool
     """
     frame, depth, kept = seen.frame, seen.depth(), seen.kept()
     has_depth, has_labels = DEPTH not in frame.absent, LABELS not in frame.absent
-    entries = []
+    entries, too_far = [], 0
     files = picture_names(dataset.camera_names)
     for view, name in enumerate(dataset.camera_names):
         images = {"file_path": ("images", frame.rgb[view][..., ::-1])}
         if has_depth:
             millimetres = np.round(depth[view] / _METRES_PER_UNIT)
+            too_far += int((millimetres > _MOST_UNITS).sum())
             millimetres[millimetres > _MOST_UNITS] = 0  # too far for 16 bits: unknown
             images["depth_file_path"] = ("depths", millimetres.astype(np.uint16))
         if has_labels:
@@ -92,6 +97,7 @@ def write_scene(folder: Path, seen: Seen, dataset: MultiViewDataset, masks: bool
         "frames": entries,
     }
     write_json(folder / "transforms.json", transforms)
+    return too_far
 
 
 def world_from_opengl_camera(camera_from_world: Float[ndarray, "4 4"]) -> Float[ndarray, "4 4"]:

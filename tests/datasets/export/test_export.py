@@ -1,5 +1,6 @@
 """Exports, read back with other libraries and compared with the dataset's own points."""
 
+import dataclasses
 import errno
 import importlib.util
 import json
@@ -16,7 +17,7 @@ from nerf_rl.cameras.geometry import camera_position, look_from, pixel_centres, 
 from nerf_rl.datasets.export import export
 from nerf_rl.datasets.export.mesh import write_mesh
 from nerf_rl.datasets.export.seen import Seen
-from nerf_rl.datasets.storage.frames import Frame
+from nerf_rl.datasets.storage.frames import Frame, read_frame
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.errors import UserError
 
@@ -204,6 +205,11 @@ def test_a_mesh_of_a_thing_of_few_pixels_is_fused_or_refused_in_a_sentence(
         (["--exclude", "[robto]"], "unknown class 'robto' (did you mean robot?"),
         (["--format", "usd"], "unknown format 'usd'; available: lerobot, mesh, nerfstudio, pointcloud"),
         (["--voxel", "0"], "--voxel must be positive"),
+        (["--format", "pointcloud", "--voxel", "0.1"], "--voxel is for --format mesh, and means nothing to pointcloud"),
+        (["--format", "mesh", "--cameras", "[top]"], "--cameras is for --format lerobot, and means nothing to mesh"),
+        (["--depth", "false"], "--depth is for --format lerobot, and means nothing to nerfstudio"),
+        (["--task", "open it"], "--task is for --format lerobot"),
+        (["--fps", "3"], "--fps is for --format lerobot"),
     ],
 )
 def test_mistakes_are_told_in_a_sentence_and_nothing_is_written(
@@ -212,6 +218,22 @@ def test_mistakes_are_told_in_a_sentence_and_nothing_is_written(
     assert cli.main(["export", str(dataset.folder), "--out", str(tmp_path / "out"), *arguments]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_depth_that_is_too_far_for_nerfstudio_is_told_of(
+    dataset: MultiViewDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    exported(dataset, tmp_path / "near", "--frames", "[0]")
+    assert "warning" not in capsys.readouterr().out
+    frame = read_frame(dataset, 0)
+    depth, pixels = frame.depth.copy(), frame.depth[0].size
+    depth[0] = 70.0  # one camera of four sees nothing but what is farther than 65.5 m
+    monkeypatch.setattr(export, "read_frame", lambda *_: dataclasses.replace(frame, depth=depth))
+    monkeypatch.setitem(dataset.manifest, "far", 100.0)
+    monkeypatch.setattr(export, "MultiViewDataset", lambda _: dataset)
+    exported(dataset, tmp_path / "far", "--frames", "[0]")
+    share = f"{pixels / depth.size:.1%} of the pixels show what is more than 65.5 m away"
+    assert share in capsys.readouterr().out and share.startswith("25.0%")
 
 
 @pytest.mark.parametrize("kind", ["nerfstudio", "pointcloud"])
