@@ -84,6 +84,7 @@ class RingConfig:
 
     def __post_init__(self) -> None:
         label = f"ring '{self.name}'"
+        _check_name(label, self.name)
         _check_point(label, "lookat", self.lookat)
         _check_view(label, self.distance, self.fovy, self.elevation)
         _check_sizes(label, self.azimuth)
@@ -122,6 +123,7 @@ class DomeConfig:
 
     def __post_init__(self) -> None:
         label = f"dome '{self.name}'"
+        _check_name(label, self.name)
         _check_point(label, "lookat", self.lookat)
         _check_range(label, "elevation", self.elevation)
         for elevation in self.elevation:
@@ -227,6 +229,11 @@ def _check_point(label: str, name: str, point: list[float]) -> None:
 def _check_count(label: str, count: int) -> None:
     if count > MOST_CAMERAS:
         raise UserError(f"{label}: a dataset has at most {MOST_CAMERAS} cameras, got a count of {count}")
+
+
+def _check_name(label: str, name: str) -> None:
+    if not name:
+        raise UserError(f"{label} needs a name")
 
 
 def _check_sizes(label: str, *numbers: float | None) -> None:

@@ -63,23 +63,29 @@ def semantic_classes(
     automatic = _AutomaticClasses(model, parts, robot_links)
     names = [BACKGROUND]
     geom_class = np.zeros(model.ngeom + 1, np.uint8)
-    matched = set()
+    matched, before = set(), dict[int, str]()  # patterns that had a geom, and which class took one from the others
     for geom in range(model.ngeom):
         path = geom_path(model, geom)
-        found = next((i for i, expression in enumerate(expressions) if expression.search(path)), None)
-        if found is None:
+        matching = [i for i, expression in enumerate(expressions) if expression.search(path)]
+        if not matching:
             name = automatic.name(int(model.geom_bodyid[geom]))
             if name == BACKGROUND and geom in parts.placed:
                 name = placed_name(model, geom)
         else:
-            name = patterns[found].name
-            matched.add(found)
+            name = patterns[matching[0]].name
+            matched.add(matching[0])
+            before |= dict.fromkeys(matching[1:], name)
         if name not in names:
             names.append(name)
         if len(names) > _MOST_CLASSES:
             raise UserError(f"more than {_MOST_CLASSES} semantic classes; group them by patterns in 'classes'")
         geom_class[geom] = names.index(name)
     for i, pattern in enumerate(patterns):
+        if i in before and i not in matched:
+            raise UserError(
+                f"class '{pattern.name}': all geoms that match '{pattern.pattern}' belong to classes before it in "
+                f"'classes', such as '{before[i]}'; put it first"
+            )
         if i not in matched:
             paths = sorted({geom_path(model, geom) for geom in range(model.ngeom)})
             raise UserError(

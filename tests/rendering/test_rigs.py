@@ -87,6 +87,12 @@ def test_points_that_random_cameras_look_at_lie_in_the_box(blocks: Scene):
     assert np.abs(offset).max() <= 0.1 + 1e-9 and np.abs(offset).max(0).min() > 0.08
 
 
+@pytest.mark.parametrize("kind", [RingConfig, DomeConfig])
+def test_rings_and_domes_have_names(kind: type[RingConfig] | type[DomeConfig]):
+    with pytest.raises(UserError, match=r"(ring|dome) '' needs a name"):
+        kind("")
+
+
 @pytest.mark.parametrize(
     "config, words",
     [

@@ -193,6 +193,17 @@ def test_a_pattern_without_a_match_is_answered_with_the_paths(cabinet: mujoco.Mj
         semantic_classes(cabinet, BodyParts(), [ClassConfig("window", "glass")])
 
 
+def test_a_pattern_whose_geoms_an_earlier_one_takes_is_answered_with_that(cabinet: mujoco.MjModel):
+    patterns = [ClassConfig("lamp", "lamp"), ClassConfig("furniture", "cabinet"), ClassConfig("knob", "knob/ball$")]
+    with pytest.raises(UserError, match=r"class 'knob': all geoms .* before it in 'classes', such as 'furniture'"):
+        semantic_classes(cabinet, BodyParts(), patterns)
+
+
+def test_a_class_has_a_name():
+    with pytest.raises(UserError, match="'classes' need names"):
+        ClassConfig("", "door")
+
+
 def test_a_broken_pattern_is_named(cabinet: mujoco.MjModel):
     with pytest.raises(UserError, match=r"class 'door': '\(' is no regular expression"):
         semantic_classes(cabinet, BodyParts(), [ClassConfig("door", "(")])
