@@ -1,5 +1,7 @@
 """The card of an agent: what it observes, how often it succeeds, what stands beside that, how to run it."""
 
+import json
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,7 +81,7 @@ def agent_card(
         evaluations: of its run, oldest first.
         controls: to stand beside its success rate.
     """
-    env = description["env"]
+    env, address = description["env"], shlex.quote(naming.address)
     last = evaluations[-1] if evaluations else {}
     metrics = {"success_rate": last.get(SUCCESS), "mean_return": last.get("mean_return")}
     seen = [] if encoder is None else ["## What it sees", describe_cameras(encoder)]
@@ -100,11 +102,11 @@ def agent_card(
             installing(naming),
             code(
                 "sh",
-                f"nerf-rl evaluate --run {naming.address} --out runs/evaluation --episodes 50 --video true",
-                f"nerf-rl view {naming.address}",
+                f"nerf-rl evaluate --run {address} --out runs/evaluation --episodes 50 --video true",
+                f"nerf-rl view {address}",
             ),
             "or, in Python,",
-            code("python", *_PYTHON.format(address=naming.address).splitlines()),
+            code("python", *_PYTHON.format(address=json.dumps(naming.address, ensure_ascii=False)).splitlines()),
             *last_sections(naming, _made(description, summary), description.get("packages", {})),
         ]
     )
@@ -170,7 +172,7 @@ _PYTHON = """from nerf_rl.rl.agents.policy import Policy
 from nerf_rl.rl.agents.policy_file import find_run
 from nerf_rl.rl.environments.make import make_env
 
-policy = Policy.load(find_run("{address}"))
+policy = Policy.load(find_run({address}))
 env, _ = make_env(policy.spec)
 observation, _ = env.reset(seed=0)
 action = policy.act(observation[None])[0]"""

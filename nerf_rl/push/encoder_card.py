@@ -1,5 +1,7 @@
 """The card of an encoder: what it sees, what its latent knows, how to load it."""
 
+import json
+import shlex
 from collections.abc import Mapping
 from typing import Any
 
@@ -19,7 +21,8 @@ def encoder_card(naming: Naming, description: Mapping[str, Any], summary: Mappin
         summary: content of its ``summary.json``, empty if it has none.
     """
     scene, validation = description["scene"]["name"], summary.get("validation") or {}
-    acting = f"nerf-rl train-rl --encoder {naming.address} --scene {scene} --out runs/agent"
+    address = shlex.quote(naming.address)
+    acting = f"nerf-rl train-rl --encoder {address} --scene {scene} --out runs/agent"
     sizes = description["architecture"]
     metrics = {name: validation.get(key) for name, key in _METRICS.items()}
     cameras = description["rig"]
@@ -38,13 +41,13 @@ def encoder_card(naming: Naming, description: Mapping[str, Any], summary: Mappin
             *_figures(summary),
             "## How to load it",
             installing(naming),
-            code("python", *_PYTHON.format(address=naming.address).splitlines()),
+            code("python", *_PYTHON.format(address=json.dumps(naming.address, ensure_ascii=False)).splitlines()),
             "or, on the command line,",
             code(
                 "sh",
                 *([acting] if scene.startswith((METAWORLD, GYM)) else []),
-                f"nerf-rl probe --encoder {naming.address} --data DATASET",
-                f"nerf-rl view {naming.address} --data DATASET",
+                f"nerf-rl probe --encoder {address} --data DATASET",
+                f"nerf-rl view {address} --data DATASET",
             ),
             *last_sections(naming, _made(description, summary), description.get("packages", {})),
         ]
@@ -139,5 +142,5 @@ _VALIDATION = {
 }
 _PYTHON = """from nerf_rl.pretrain.model.encoder import Encoder
 
-encoder = Encoder.load("{address}")
+encoder = Encoder.load({address})
 z = encoder.standardise(encoder.encode(images))  # u8 [B, V, H, W, 3] of the cameras above, in their order -> [B, Z]"""

@@ -1,6 +1,9 @@
 """push: what others get of an encoder or an agent, what its card says, and that it comes back as it was."""
 
+import ast
 import json
+import re
+import shlex
 import shutil
 import sys
 from pathlib import Path
@@ -97,6 +100,19 @@ def test_an_agent_is_evaluated_from_the_hub_with_the_encoder_that_it_brings(
     sheet = tmp_path / "sheet.png"
     assert cli.main(["view", "hf://tests/agent", "--png", str(sheet), "--episodes", "1"]) == 0
     assert sheet.stat().st_size > 0
+
+
+def test_commands_and_lines_of_a_card_hold_any_name(tiny_agent: Path, tiny_encoder: Path, tmp_path: Path):
+    for run in (tiny_agent, tiny_encoder):
+        out = tmp_path / run.name / """my "agent's" #1"""
+        assert push(run, "--out", str(out)) == 0
+        blocks = re.findall("```(sh|python)\n(.*?)```", (out / "README.md").read_text(), re.DOTALL)
+        assert sorted(language for language, _ in blocks) == ["python", "sh"]
+        for language, block in blocks:
+            if language == "sh":
+                assert out.name in shlex.split(block)
+            else:
+                assert out.name in [node.value for node in ast.walk(ast.parse(block)) if isinstance(node, ast.Constant)]
 
 
 @pytest.mark.parametrize(
