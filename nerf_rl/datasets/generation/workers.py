@@ -57,7 +57,8 @@ def render_shards(
         if in_a_row >= MOST_DEATHS:
             raise FailureError(
                 f"render workers died or hung {in_a_row} times in a row at {names}; finished shards are kept: "
-                "go on with --resume true, with fewer --workers if memory ran out or OpenGL hung"
+                "go on with --resume true, with fewer --workers if memory ran out or OpenGL hung, "
+                "or a longer --worker_timeout if the scene is slow"
             )
         say(f"a render worker died or hung; {names} will be rendered anew")
         missing[:] = [shard for shard in missing if shard not in lost] + lost
