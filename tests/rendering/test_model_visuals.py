@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from test_renderer import loaded, random_cameras
 
+from nerf_rl.cameras.geometry import intrinsics_from_fovy, look_at, project, projection_matrix
 from nerf_rl.rendering.renderer import MultiViewRenderer, Views
 
 SEE_THROUGH = """
@@ -59,3 +60,30 @@ def test_what_is_seen_through_is_as_faint_beside_a_plane_as_without_one(extra: s
     elsewhere = beside.geom != plane
     assert not elsewhere.all() and (alone.rgb != bare.rgb).any(-1).mean() > 0.005
     np.testing.assert_array_equal(beside.rgb[elsewhere], alone.rgb[elsewhere])
+
+
+@pytest.mark.parametrize("quality", ["fast", "smooth", "full"])
+def test_the_headlight_shines_from_one_place_for_all_cameras(quality: str):
+    """A radiance field has no other way to explain what a thing looks like from all sides."""
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><statistic extent="2"/><visual><headlight ambient="0 0 0" diffuse="1 1 1" specular="0 0 0"/></visual>
+        <worldbody><geom type="sphere" size="0.3" rgba="1 1 1 1"/></worldbody></mujoco>"""
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    headings = np.deg2rad([60.0, 120.0])
+    K = intrinsics_from_fovy(40.0, 96, 96)
+    poses = np.stack([look_at(np.zeros(3), 1.5, np.rad2deg(heading), -30.0) for heading in headings])
+    renderer = MultiViewRenderer(model, 96, 96, 2, quality)
+    rgb = renderer.render(data, np.stack([K, K]), poses).rgb.astype(int)
+    renderer.close()
+    normals = np.array([[x, -1.0, z] for x in (-0.4, 0.0, 0.4) for z in (-0.2, 0.4, 0.9)])  # seen by both cameras
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    seen = []
+    for picture, pose in zip(rgb, poses, strict=True):
+        pixels, _ = project(projection_matrix(K, pose), 0.3 * normals)
+        columns, rows = np.floor(pixels).astype(int).T
+        seen.append(picture[rows, columns].mean(-1))
+    lit = normals @ np.array([0.0, -np.sqrt(0.5), np.sqrt(0.5)])  # along azimuth 90 and elevation -45
+    np.testing.assert_allclose(seen[0], seen[1], atol=12)
+    np.testing.assert_allclose(np.stack(seen), np.broadcast_to(255 * lit.clip(0), (2, 9)), atol=16)
