@@ -5,6 +5,8 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+_PARTIAL = ".partial-"
+
 
 @contextlib.contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
@@ -14,7 +16,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
     place has the file's suffix, since some writers choose the format by it. The file gets the permissions that the
     user's umask gives to new files, whatever those are that its writer creates it with.
     """
-    aside = path.with_name(f".partial-{path.name}")
+    aside = path.with_name(f"{_PARTIAL}{path.name}")
     aside.unlink(missing_ok=True)
     aside.touch()
     permissions = aside.stat().st_mode & 0o777
@@ -24,6 +26,11 @@ def atomic_write(path: Path) -> Iterator[Path]:
         rename_durably(aside, path)
     finally:
         aside.unlink(missing_ok=True)
+
+
+def is_partial(path: Path) -> bool:
+    """Tell whether a file is what a process that was killed had not finished writing."""
+    return path.name.startswith(_PARTIAL)
 
 
 def rename_durably(aside: Path, path: Path) -> None:

@@ -12,7 +12,7 @@ import yaml
 
 from nerf_rl import __version__
 from nerf_rl.errors import OutputExistsError, UserError
-from nerf_rl.files.atomic import write_text
+from nerf_rl.files.atomic import is_partial, write_text
 from nerf_rl.files.folder_lock import hold_folder
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.versions import git_revision, package_versions, processor
@@ -118,7 +118,8 @@ def prepare_output(
 
 
 def _in_use(folder: Path) -> bool:
-    return folder.exists() and any(folder.iterdir())
+    """Tell whether a folder holds more than what a process that was killed had not finished writing."""
+    return folder.exists() and any(not is_partial(path) for path in folder.iterdir())
 
 
 def _empty(folder: Path) -> None:
@@ -145,27 +146,27 @@ def command_of(folder: Path) -> str | None:
 
 
 def write_provenance(folder: Path, command: str, config: Any) -> None:
-    """Write the resolved configuration and the versions behind a run: ``config.yaml`` and ``provenance.json``.
+    """Write the versions behind a run and its resolved configuration: ``provenance.json`` and ``config.yaml``.
+
+    Provenance comes first, since without it a folder that was cut off here would be taken for somebody else's.
 
     Args:
         folder: the output folder.
         command: the sub-command's name.
         config: its configuration, a dataclass.
     """
+    record = {
+        "command": command,
+        "arguments": sys.argv[1:],
+        "seed": getattr(config, "seed", None),
+        "nerf_rl": __version__,
+        "git_revision": git_revision(),
+        "python": sys.version.split()[0],
+        "packages": package_versions(),
+        "processor": processor(),
+    }
+    write_json(folder / PROVENANCE, record)
     write_text(folder / "config.yaml", yaml.safe_dump(plain(config), sort_keys=False))
-    write_json(
-        folder / PROVENANCE,
-        {
-            "command": command,
-            "arguments": sys.argv[1:],
-            "seed": getattr(config, "seed", None),
-            "nerf_rl": __version__,
-            "git_revision": git_revision(),
-            "python": sys.version.split()[0],
-            "packages": package_versions(),
-            "processor": processor(),
-        },
-    )
 
 
 def plain(value: Any) -> Any:

@@ -24,7 +24,7 @@ from nerf_rl.tuning.objective import TrainingObjective, runs_of, trial_of
 from nerf_rl.tuning.recipe import check_space
 from nerf_rl.tuning.results import BEST, RECIPE, TRIALS, write_results
 from nerf_rl.tuning.search import Search, search_of
-from nerf_rl.tuning.storage import open_storage
+from nerf_rl.tuning.storage import JOURNAL, open_storage
 from nerf_rl.tuning.supervisor import StudyFailedError, supervise
 from nerf_rl.tuning.worker import Task
 
@@ -154,5 +154,5 @@ def _with_defaults(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def _is_search(out: Path) -> bool:
-    """Tell whether the folder holds a search, finished or not."""
-    return command_of(out) == "tune"
+    """Tell whether the folder holds a search, finished or not, which had come as far as to write what it is."""
+    return command_of(out) == "tune" and any((out / name).exists() for name in ("config.yaml", JOURNAL))

@@ -1,16 +1,20 @@
 """Output folders: nothing of the user's is lost, and a file that exists is whole."""
 
+import contextlib
 import dataclasses
 import json
 import os
 import platform
+import shutil
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 import yaml
 
 from nerf_rl.errors import OutputExistsError, UserError
 from nerf_rl.files import outputs
+from nerf_rl.files.atomic import atomic_write
 from nerf_rl.files.versions import processor
 
 
@@ -188,6 +192,33 @@ def test_a_folder_whose_provenance_is_damaged_or_anothers_is_not_resumed(content
     (tmp_path / outputs.PROVENANCE).write_text(content)
     with pytest.raises(OutputExistsError, match="already exists and is not empty; use --overwrite true or another"):
         outputs.prepare_output(tmp_path, overwrite=False, resume=True, command="pretrain")
+
+
+@pytest.mark.parametrize("cut_at", ["write_json", "write_text"])
+@pytest.mark.parametrize("asked", [{"overwrite": True}, {"overwrite": False, "resume": True}])
+def test_a_folder_that_was_cut_off_in_its_first_files_is_begun_anew(
+    cut_at: str, asked: dict[str, bool], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def interrupted(*_: object) -> NoReturn:
+        raise KeyboardInterrupt
+
+    outputs.prepare_output(tmp_path, overwrite=False)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(outputs, cut_at, interrupted)
+        outputs.write_provenance(tmp_path, "pretrain", Config())
+    outputs.prepare_output(tmp_path, **asked, command="pretrain")
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_a_killed_process_had_not_finished_writing_is_no_content(tmp_path: Path):
+    with contextlib.suppress(KeyboardInterrupt), atomic_write(tmp_path / "plan.json") as aside:
+        shutil.copy(aside, tmp_path / "kept")
+        raise KeyboardInterrupt
+    (tmp_path / "kept").rename(aside)  # which a killed process does not remove
+    outputs.prepare_output(tmp_path, overwrite=False)
+    (tmp_path / "plan.json").write_text("{}")
+    with pytest.raises(OutputExistsError):
+        outputs.prepare_output(tmp_path, overwrite=False)
 
 
 def test_a_folder_that_the_system_does_not_let_be_made_is_told_in_a_sentence(foreign: Path):

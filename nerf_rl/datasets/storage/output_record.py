@@ -108,7 +108,5 @@ class DatasetRecord:
             path.unlink(missing_ok=True)
 
     def _begun(self) -> bool:
-        """Tell whether an earlier run was cut off here, be it before it had written its plan."""
-        return (self.folder / PLAN).is_file() or (
-            self.folder.is_dir() and all(path.name.startswith(".partial-") for path in self.folder.iterdir())
-        )
+        """Tell whether an earlier run was cut off here."""
+        return (self.folder / PLAN).is_file()

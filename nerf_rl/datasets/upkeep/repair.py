@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import json
 import shutil
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from nerf_rl.datasets.storage.plan import PLAN, Plan, command_keys, plan_of, sam
 from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS, read_manifest, shard_file, shard_path
 from nerf_rl.datasets.storage.stored_manifest import IMPORTED_FROM
 from nerf_rl.datasets.upkeep.problems import IMPORT_AGAIN, Problem, shard_problems
-from nerf_rl.errors import FailureError, UserError
+from nerf_rl.errors import FailureError, MissingFileError, UserError
 from nerf_rl.files.atomic import rename_durably
 from nerf_rl.files.checksummed_json import write_checksummed
 from nerf_rl.files.json_files import read_json, write_json
@@ -42,7 +42,7 @@ def repair(folder: Path, problems: Iterable[Problem], workers: int) -> None:
     """
     files = dict.fromkeys(problem.file for problem in problems)
     try:
-        with explain_full_disk(folder, remedy="free some space and run the same command again"):
+        with _explain_paths(folder), explain_full_disk(folder, remedy="free some space and run the same command again"):
             if MANIFEST in files:
                 _rebuild_manifest(folder, workers)
                 files = dict.fromkeys(problem.file for problem in shard_problems(folder, read_manifest(folder)))
@@ -54,6 +54,19 @@ def repair(folder: Path, problems: Iterable[Problem], workers: int) -> None:
                 _restore(folder, manifest, damaged, workers)
     finally:
         shutil.rmtree(folder / _ASIDE, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _explain_paths(folder: Path) -> Iterator[None]:
+    """Say where to repair what was made from a file that is not found, in place of keys that this command lacks."""
+    try:
+        yield
+    except MissingFileError as error:
+        what, _, _ = str(error).rpartition("; ")
+        raise UserError(
+            f"{folder} cannot be rendered anew here: {what}; run the command in the folder in which gen-dataset ran, "
+            "where its paths begin"
+        ) from error
 
 
 def _restore(folder: Path, manifest: dict[str, Any], damaged: list[int], workers: int) -> None:

@@ -211,3 +211,30 @@ def test_resuming_does_not_sign_a_damaged_shard(folder: Path, tiny_recipe: Path)
     assert list(record.finished_shards(scene)) == [0]
     record.prepare([0])
     assert not (folder / SECOND).exists() and not (folder / MANIFEST).exists()
+
+
+def test_what_was_made_from_a_path_is_repaired_where_the_path_begins(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "scene.xml").write_text(
+        "<mujoco><worldbody><light pos='0 0 2'/><geom type='plane' size='2 2 0.1'/>"
+        "<body pos='0 0 0.1'><freejoint/><geom size='0.1' rgba='1 0 0 1'/></body></worldbody></mujoco>"
+    )
+    monkeypatch.chdir(tmp_path)
+    size = ["--episodes", "1", "--frames_per_episode", "2", "--episode_steps", "2", "--size", "16", "--workers", "1"]
+    words = ["--scene", "scene.xml", "--behaviour.random", "1", "--validation_fraction", "0", *size]
+    assert cli.main(["gen-dataset", *words, "--out", "data"]) == 0
+    whole = (tmp_path / "data" / FIRST).read_bytes()
+    flip(tmp_path / "data" / FIRST, 3000)
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    capsys.readouterr()
+    assert cli.main(["check", "../data", "--repair", "true"]) == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said.startswith(
+        "nerf-rl check: ../data cannot be rendered anew here: scene.xml is not an MJCF file: no such"
+    )
+    assert said.endswith("run the command in the folder in which gen-dataset ran, where its paths begin")
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["check", "data", "--repair", "true"]) == 0
+    assert (tmp_path / "data" / FIRST).read_bytes() == whole
