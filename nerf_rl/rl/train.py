@@ -71,7 +71,8 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
     run = Path(config.out)
     if config.resume and not config.seeds:
         require_one_run(run)
-    resuming = config.resume and not config.seeds and not is_baseline and _can_resume(run, config)
+    begun = config.resume and not config.seeds and _can_resume(run, config)
+    resuming = begun and not is_baseline  # which begins anew
     beside_latent = check_scene(spec, config.demonstrations > 0)
     if config.replay.hindsight_random and encoder is not None:
         raise UserError(

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import gymnasium
@@ -9,6 +10,7 @@ import numpy as np
 import own_environments
 import pytest
 import torch
+from tiny_recipes import TINY_TRAINING
 
 from nerf_rl import cli
 from nerf_rl.rl.agents.policy import Policy
@@ -45,6 +47,18 @@ def test_a_baseline_leaves_what_our_own_agent_leaves(algo: str, tmp_path: Path) 
     assert float(rows[-1]["episode_length"]) == 20 and float(rows[-1]["critic_loss"]) > 0
     assert not [path for path in out.rglob("*") if path.suffix in (".zip", ".pkl", ".pt", ".pth")]
     assert cli.main(["evaluate", "--run", str(out), "--out", str(tmp_path / "evaluation"), "--episodes", "2"]) == 0
+
+
+def test_another_agents_interrupted_run_is_not_begun_anew(
+    tiny_agent: Path, tiny_encoder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = Path(shutil.copytree(tiny_agent, tmp_path / "run"))
+    (run / "summary.json").unlink()
+    before = {path: path.stat().st_mtime_ns for path in run.rglob("*")}
+    words = ["--encoder", str(tiny_encoder), "--algo", "ppo", "--out", str(run), "--resume", "true", *TINY_TRAINING]
+    assert cli.main(["train-rl", *words]) == 2
+    assert "was begun with another --algo" in capsys.readouterr().err
+    assert {path: path.stat().st_mtime_ns for path in run.rglob("*")} == before
 
 
 @pytest.mark.parametrize(
