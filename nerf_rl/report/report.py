@@ -1,5 +1,6 @@
 """``nerf-rl report``: an agent, and its encoder and dataset where it has them, on one self-contained page."""
 
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -207,7 +208,7 @@ def _made(folder: Path) -> str:
     try:
         record = read_json(folder / PROVENANCE)
         versions = " ".join(f"{name}=={version}" for name, version in record["packages"].items())
-        command = " ".join(["nerf-rl", *record["arguments"]])
+        command = shlex.join(["nerf-rl", *record["arguments"]])
         return f"{command}\n  revision {record['git_revision']}, seed {record['seed']}\n  {versions}"
     except (OSError, ValueError, LookupError, TypeError, AttributeError):  # none there, or damaged
         return f"{folder}: unknown"

@@ -1,9 +1,10 @@
 """What a folder is: a dataset, an encoder or an agent, told by its files."""
 
+import shlex
 from enum import Enum
 from pathlib import Path
 
-from nerf_rl.datasets.storage.shards import UNFINISHED
+from nerf_rl.datasets.storage.shards import PARTS, UNFINISHED
 from nerf_rl.errors import MissingFileError
 from nerf_rl.files.outputs import PROVENANCE, SUMMARY, command_of
 from nerf_rl.pretrain.model.encoder_file import DESCRIPTION
@@ -45,6 +46,8 @@ def find_subject(path: Path) -> Subject:
 
 def _told_by_other_files(path: Path, folder: Path) -> str:
     """Return what a path is, in a folder in which there is nothing to view."""
+    if (folder / PARTS).is_dir():
+        return f"it holds parts of a dataset (put them together with: nerf-rl merge {shlex.quote(str(folder))})"
     if (folder / _PLAN).is_file():
         return "it is an unfinished dataset (finish it with --resume true)"
     if not (folder / PROVENANCE).is_file():

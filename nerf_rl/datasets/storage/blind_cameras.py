@@ -1,5 +1,6 @@
 """Cameras that often see nothing of what the others see: they look elsewhere, or something stands before them."""
 
+import shlex
 import sys
 from pathlib import Path
 
@@ -35,19 +36,19 @@ def warn_of_blind_cameras(folder: Path) -> dict[str, dict[str, float]]:
     dataset = MultiViewDataset(folder)
     if LABELS in dataset.absent:
         return {}
-    sees = _sees(dataset)
+    sees, look = _sees(dataset), f"nerf-rl view {shlex.quote(str(folder))}"
     if not sees.any() and len(dataset.class_names) > 1:
         print(
             f"warning: no camera sees anything but the background in any of {len(sees)} frames: the cameras look "
             "elsewhere, or what moves is too small for them or lies before their near plane (visual/map znear times "
-            f"statistic/extent in MJCF); look at them with nerf-rl view {folder}",
+            f"statistic/extent in MJCF); look at them with {look}",
             file=sys.stderr,
         )
     blind = _blind(dataset, sees)
     for name, share in blind.items():
         print(
             f"warning: camera {name} sees nothing but the background in {share:.0%} of the frames, while others see "
-            f"more: it looks elsewhere, or something stands before it; look at it with nerf-rl view {folder}",
+            f"more: it looks elsewhere, or something stands before it; look at it with {look}",
             file=sys.stderr,
         )
     return {"blind_cameras": blind} if blind else {}

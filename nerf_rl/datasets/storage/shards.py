@@ -7,6 +7,7 @@ compressed chunks costs more than a small encoder's training step.
 import errno
 import hashlib
 import os
+import shlex
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -241,15 +242,15 @@ def read_manifest(folder: Path) -> dict:
         MissingFileError: the folder holds no finished dataset, or one of a schema that this version cannot read.
     """
     remedy = "make one with: nerf-rl gen-dataset --config datasets/drawer-open.yaml --out FOLDER"
-    path = folder / MANIFEST
+    path, quoted = folder / MANIFEST, shlex.quote(str(folder))
     if not path.is_file():
         reason = "the folder does not exist" if not folder.exists() else f"it holds no {MANIFEST}"
         if (folder / PARTS).is_dir():
-            reason, remedy = "it holds parts of one", f"put them together with: nerf-rl merge {folder}"
+            reason, remedy = "it holds parts of one", f"put them together with: nerf-rl merge {quoted}"
         elif (folder / SHARDS).is_dir():
             reason, remedy = "it is not finished", "finish it with the same command and --resume true"
         raise MissingFileError("a dataset", folder, reason, remedy)
-    mend = f"mend it with: nerf-rl check {folder} --repair true"
+    mend = f"mend it with: nerf-rl check {quoted} --repair true"
     try:
         content = read_json(path)
         mapping({"schema_version": whole()}, others=True)(content, "")

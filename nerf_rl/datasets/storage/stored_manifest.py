@@ -4,6 +4,7 @@ Shards are named ``shards/NNNNNN.h5`` and nothing else, so that no manifest can 
 of that name may be a link: where the bytes of a dataset lie is for the owner of the folder to say.
 """
 
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
@@ -105,7 +106,7 @@ class StoredManifest(dict[str, Any]):
         self._path = path
 
     def __missing__(self, key: str) -> Any:
-        remedy = f"mend it with: nerf-rl check {self._path.parent} --repair true"
+        remedy = f"mend it with: nerf-rl check {shlex.quote(str(self._path.parent))} --repair true"
         raise MissingFileError("a whole manifest", self._path, f"it does not say {key}", remedy)
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -1,6 +1,7 @@
 """``nerf-rl check``: tell what is wrong with a dataset, and mend it if asked to."""
 
 import contextlib
+import shlex
 from pathlib import Path
 
 from nerf_rl.datasets.storage.plan import PLAN
@@ -25,7 +26,7 @@ def check(config: CheckConfig) -> None:
         print(f"{folder}: whole and unchanged")
         return
     if not config.repair:
-        rendered = f"nerf-rl check {folder} --repair true renders damaged shards anew"
+        rendered = f"nerf-rl check {shlex.quote(str(folder))} --repair true renders damaged shards anew"
         remedy = IMPORT_AGAIN if _is_imported(folder) else rendered
         raise FailureError(f"{folder} is damaged: {_names(problems)}; {remedy}")
     from nerf_rl.datasets.upkeep.repair import repair  # it needs the simulator, a check does not

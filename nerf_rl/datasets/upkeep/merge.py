@@ -60,18 +60,19 @@ def merge(config: MergeConfig) -> None:
         manifest = with_shards(description, (entry for _, entry in sources), renderers)
         write_checksummed(out / MANIFEST, manifest)
         views = manifest["frames"] * len(manifest["cameras"])
-        seconds = sum(_measured(part, "seconds") for part in parts)
+        once = {part.name: part for part in parts}.values()  # of a part that lies in several folders
+        seconds = sum(_measured(part, "seconds") for part in once)
         summary = {
             "frames": manifest["frames"],
             "views": views,
             "seconds": round(seconds, 2),
             "views_per_second": round(views / max(seconds, 0.01), 1),
             "renderer": manifest["renderer"],
-            "worker_peak_rss_mb": max(_measured(part, "worker_peak_rss_mb") for part in parts),
+            "worker_peak_rss_mb": max(_measured(part, "worker_peak_rss_mb") for part in once),
         }
         summary |= warn_of_blind_cameras(out)
         write_json(out / SUMMARY, summary)
-    print(f"{out}: {summary['frames']} frames, {summary['views']} views of {len(parts)} parts")
+    print(f"{out}: {summary['frames']} frames, {summary['views']} views of {len(once)} parts")
 
 
 def _finished_parts(folder: Path) -> list[Path]:

@@ -115,6 +115,33 @@ def test_what_parts_measured_is_not_needed_and_no_folder_counts_twice(
     assert content(folder) == content(tiny_dataset)
 
 
+def test_parts_of_several_folders_count_once_each(parts: Path, tiny_dataset: Path, tmp_path: Path):
+    for name, other in (("first", "2-of-2"), ("second", "1-of-2")):
+        shutil.copytree(parts, tmp_path / name, ignore=shutil.ignore_patterns(other))
+    first, second = str(tmp_path / "first"), str(tmp_path / "second")
+    assert cli.main(["merge", first, second, "--out", first]) == 0  # which holds both parts then
+    seconds = read_json(tmp_path / "first" / "summary.json")["seconds"]
+    assert cli.main(["merge", first, second, "--out", str(tmp_path / "all")]) == 0
+    assert read_json(tmp_path / "all" / "summary.json")["seconds"] == seconds
+    assert content(tmp_path / "all") == content(tiny_dataset)
+
+
+def test_commands_in_sentences_can_be_pasted(
+    parts: Path, tiny_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    folder, damaged = tmp_path / "my parts", tmp_path / "my data"
+    shutil.copytree(parts, folder)
+    shutil.copytree(tiny_dataset, damaged)
+    (damaged / SHARDS / "000001.h5").write_bytes(b"changed")
+    for words, command in (
+        (["check", str(folder)], f"nerf-rl merge '{folder}'"),
+        (["view", str(folder)], f"nerf-rl merge '{folder}'"),
+        (["check", str(damaged)], f"nerf-rl check '{damaged}' --repair true"),
+    ):
+        assert cli.main(words) in (1, 2)
+        assert command in capsys.readouterr().err
+
+
 def test_a_part_refuses_a_folder_of_another_plan_and_its_own_twice(
     parts: Path, tiny_dataset: Path, tiny_recipe: Path, capsys: pytest.CaptureFixture[str]
 ):
