@@ -43,9 +43,10 @@ def check_output(
         raise UserError(f"{broken} is a link to {broken.readlink()}, which there is not; make it, or use another --out")
     if folder.is_file():
         raise OutputExistsError(folder, "a folder is what is written; use another --out")
-    if not _in_use(folder) or (resume and (can_resume or _cut_off_early(folder, command))):
+    unfinished = folder.is_dir() and all(map(is_partial, folder.iterdir()))  # by a process that was killed
+    if not _in_use(folder) or (resume and (can_resume or unfinished or _cut_off_early(folder, command))):
         return
-    ours = (folder / PROVENANCE).is_file()
+    ours = unfinished or (folder / PROVENANCE).is_file()
     if not overwrite:
         resuming = "--resume true, " if can_resume and ours else ""
         raise OutputExistsError(folder, f"use {resuming}--overwrite true or another --out")
@@ -118,8 +119,7 @@ def prepare_output(
 
 
 def _in_use(folder: Path) -> bool:
-    """Tell whether a folder holds more than what a process that was killed had not finished writing."""
-    return folder.exists() and any(not is_partial(path) for path in folder.iterdir())
+    return folder.exists() and any(folder.iterdir())
 
 
 def _empty(folder: Path) -> None:

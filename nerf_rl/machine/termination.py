@@ -10,7 +10,8 @@ class Termination:
     """While entered, SIGTERM interrupts this process as Ctrl-C does, so that it ends its children and says so.
 
     A second one ends it at once. Where somebody handles or ignores the signal already, or outside the main thread,
-    nothing is changed.
+    nothing is changed. Who handles it later and calls this handler, too, as Lightning does, which ends training after a
+    step, is left to do so: an interruption in the midst of one may come where Python ignores it.
     """
 
     def __init__(self) -> None:
@@ -33,8 +34,10 @@ class Termination:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
         if os.getpid() != self._process:  # a fork, which whoever ends it expects to end at once
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
             os.kill(os.getpid(), signal.SIGTERM)
         self.asked = True
-        raise KeyboardInterrupt
+        if signal.getsignal(signal.SIGTERM) == self._interrupt:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+            raise KeyboardInterrupt

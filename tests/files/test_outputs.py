@@ -210,15 +210,22 @@ def test_a_folder_that_was_cut_off_in_its_first_files_is_begun_anew(
     assert not list(tmp_path.iterdir())
 
 
-def test_what_a_killed_process_had_not_finished_writing_is_no_content(tmp_path: Path):
+@pytest.mark.parametrize("asked", [{"overwrite": True}, {"overwrite": False, "resume": True}])
+def test_what_a_killed_process_had_not_finished_writing_is_begun_anew_if_asked_for(
+    asked: dict[str, bool], tmp_path: Path
+):
     with contextlib.suppress(KeyboardInterrupt), atomic_write(tmp_path / "plan.json") as aside:
         shutil.copy(aside, tmp_path / "kept")
         raise KeyboardInterrupt
     (tmp_path / "kept").rename(aside)  # which a killed process does not remove
-    outputs.prepare_output(tmp_path, overwrite=False)
-    (tmp_path / "plan.json").write_text("{}")
     with pytest.raises(OutputExistsError):
         outputs.prepare_output(tmp_path, overwrite=False)
+    outputs.prepare_output(tmp_path, **asked)
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "plan.json").write_text("{}")
+    (tmp_path / aside.name).write_text("{")
+    with pytest.raises(OutputExistsError):
+        outputs.prepare_output(tmp_path, **asked)
 
 
 def test_a_folder_that_the_system_does_not_let_be_made_is_told_in_a_sentence(foreign: Path):

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import FrameType
 
 import pytest
 from tiny_recipes import TINY_TRAINING
@@ -50,6 +51,21 @@ def test_somebody_elses_handler_stays(handler: signal.Handlers | Callable, monke
         assert signal.getsignal(signal.SIGTERM) is handler
     finally:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def test_who_handles_it_later_and_calls_ours_too_decides_what_happens():
+    called = []
+    with Termination() as termination:
+        ours = signal.getsignal(signal.SIGTERM)
+        assert callable(ours)
+
+        def theirs(number: int, frame: FrameType | None) -> None:
+            called.append(number)
+            ours(number, frame)
+
+        signal.signal(signal.SIGTERM, theirs)
+        signal.raise_signal(signal.SIGTERM)
+        assert termination.asked and called == [signal.SIGTERM] and signal.getsignal(signal.SIGTERM) is theirs
 
 
 def test_a_fork_ends_at_once_whatever_it_would_catch():
