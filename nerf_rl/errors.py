@@ -53,7 +53,7 @@ class OutputExistsError(UserError):
     """The output already holds something that would be lost."""
 
     def __init__(self, path: Path, choices: str):
-        there = f"file {path} already exists" if path.is_file() else f"folder {path} already exists and is not empty"
+        there = f"folder {path} already exists and is not empty" if path.is_dir() else f"file {path} already exists"
         super().__init__(f"output {there}; {choices}")
 
 

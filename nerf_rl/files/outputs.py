@@ -26,7 +26,8 @@ def check_output(
 ) -> None:
     """Check, without touching it, that an output folder is free or may be resumed or overwritten.
 
-    Only a folder that a command of ours wrote (it holds ``provenance.json``) is ever overwritten.
+    Only a folder that a command of ours wrote (it holds ``provenance.json``, or nothing but what one had not finished
+    writing) is ever overwritten.
 
     Args:
         folder: the output folder.
@@ -41,7 +42,7 @@ def check_output(
     broken = next((path for path in (folder, *folder.parents) if path.is_symlink() and not path.exists()), None)
     if broken is not None:
         raise UserError(f"{broken} is a link to {broken.readlink()}, which there is not; make it, or use another --out")
-    if folder.is_file():
+    if folder.exists() and not folder.is_dir():
         raise OutputExistsError(folder, "a folder is what is written; use another --out")
     unfinished = folder.is_dir() and all(map(is_partial, folder.iterdir()))  # by a process that was killed
     if not _in_use(folder) or (resume and (can_resume or unfinished or _cut_off_early(folder, command))):

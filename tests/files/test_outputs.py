@@ -68,8 +68,9 @@ def test_a_full_folder_is_refused_and_kept(ours: Path):
 @pytest.mark.parametrize("asked", [{"overwrite": False}, {"overwrite": True}, {"overwrite": False, "resume": True}])
 def test_a_file_is_refused_as_one_and_kept(asked: dict[str, bool], tmp_path: Path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(OutputExistsError, match=r"^output file .*file already exists; a folder is what is written"):
-        outputs.prepare_output(tmp_path / "file", **asked)
+    for path in (tmp_path / "file", Path(os.devnull)):
+        with pytest.raises(OutputExistsError, match=r"^output file .* already exists; a folder is what is written"):
+            outputs.prepare_output(path, **asked)
     assert (tmp_path / "file").is_file()
 
 
