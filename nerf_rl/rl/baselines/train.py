@@ -76,7 +76,8 @@ class BaselineTrainer(BaseCallback):
     def train(self, after_evaluation: Callable[[dict[str, Any], Progress], None]) -> None:
         """Train to the end; call ``after_evaluation`` with each result and the progress."""
         self._after_evaluation = after_evaluation
-        with Progress(self._config.env_steps, "env steps") as self._progress, told("what it said last is above"):
+        cause = "by the error above, if there is one, or killed, such as for want of memory"
+        with Progress(self._config.env_steps, "env steps") as self._progress, told("--resume true begins anew", cause):
             self._sb3.learn(_FOREVER, callback=self)
 
     def actor(self) -> torch.nn.Sequential:

@@ -78,8 +78,16 @@ def close_all(envs: Any) -> None:
 
 
 @contextmanager
-def told(remedy: str = "training goes on from its last checkpoint with --resume true") -> Iterator[None]:
-    """Say in a sentence that a process has ended or hangs; what an environment itself tells is a sentence already."""
+def told(
+    remedy: str = "training goes on from its last checkpoint with --resume true",
+    cause: str = "something killed it, such as want of memory",
+) -> Iterator[None]:
+    """Say in a sentence that a process has ended or hangs; what an environment itself tells is a sentence already.
+
+    Args:
+        remedy: how to go on.
+        cause: of an end.
+    """
     try:
         with _without_gymnasiums_words():
             yield
@@ -88,9 +96,7 @@ def told(remedy: str = "training goes on from its last checkpoint with --resume 
             f"the process of an environment has not answered for {TIMEOUT:g} s: it hangs; {remedy}"
         ) from error
     except (EOFError, BrokenPipeError, ConnectionResetError) as error:
-        raise FailureError(
-            f"the process of an environment has ended: something killed it, such as want of memory; {remedy}"
-        ) from error
+        raise FailureError(f"the process of an environment has ended: {cause}; {remedy}") from error
 
 
 @contextmanager

@@ -70,6 +70,16 @@ def test_a_run_ends_with_a_sentence_alone_and_keeps_its_last_checkpoint(
     assert (run / "policy.safetensors").read_bytes() == policy
 
 
+def test_a_baseline_points_to_the_error_that_ended_a_process(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    words = ("--algo", "ppo", "--envs", "2", "--episode_steps", "20", "--env_steps", "200", "--ppo.n_steps", "20")
+    assert train(tmp_path / "run", "--scene", faulty("observation nan"), *words, "--ppo.batch_size", "10") == 1
+    assert capfd.readouterr().err.splitlines()[-1] == (  # the process itself writes to where its server does
+        "nerf-rl train-rl: the process of an environment has ended: by the error above, if there is one, or killed, "
+        "such as for want of memory; --resume true begins anew"
+    )
+
+
 def test_an_error_that_nobody_foresaw_keeps_its_traceback() -> None:
     class Unforeseen(gymnasium.Env):
         def step(self, action: Any) -> Any:
