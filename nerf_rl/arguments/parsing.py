@@ -39,7 +39,7 @@ def parse_config(config: type, program: str, description: str, arguments: Sequen
     """
     parser = _parser(config, program, description)
     arguments = [re.sub(r"^--[^=]+", lambda key: "--" + key[0][2:].replace("-", "_"), word) for word in arguments]
-    arguments = list(_join_negative_numbers(arguments))
+    arguments = _join_negative_numbers(arguments)
     arguments = list(_name_positional(arguments, positional)) if positional else arguments
     arguments = sorted(_check_recipes(arguments, config), key=lambda word: not word.startswith("--config="))
     try:
@@ -79,17 +79,15 @@ def _parser(config: type, program: str = "", description: str = "") -> ArgumentP
     return parser
 
 
-def _join_negative_numbers(arguments: Sequence[str]) -> Iterator[str]:
-    """Yield the arguments with ``--key=-1e-05`` in place of two words, since argparse takes such a number for a key."""
-    words = iter(arguments)
-    for word in words:
-        while word.startswith("--") and "=" not in word and (value := next(words, None)) is not None:
-            if _NEGATIVE_NUMBER.fullmatch(value):
-                word = f"{word}={value}"
-            else:
-                yield word
-                word = value
-        yield word
+def _join_negative_numbers(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments with ``--key=-1e-05`` in place of two words: argparse takes such a number for a key."""
+    joined: list[str] = []
+    for word in arguments:
+        if joined and joined[-1].startswith("--") and "=" not in joined[-1] and _NEGATIVE_NUMBER.fullmatch(word):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
 
 
 def _check_recipes(arguments: Sequence[str], config: type) -> Iterator[str]:

@@ -1,5 +1,6 @@
 """``nerf-rl export``: choose frames or episodes and write them in the format asked for."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -87,7 +88,8 @@ def _frame_by_frame(dataset: MultiViewDataset, config: ExportConfig) -> Callable
         if too_far:
             print(
                 f"warning: {too_far / pixels:.1%} of the pixels show what is more than {FARTHEST:.1f} m away, which "
-                "nerfstudio's depth cannot hold; it is unknown there"
+                "nerfstudio's depth cannot hold; it is unknown there",
+                file=sys.stderr,
             )
         return {"frames": len(frames)}
 

@@ -224,7 +224,7 @@ def test_depth_that_is_too_far_for_nerfstudio_is_told_of(
     dataset: MultiViewDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     exported(dataset, tmp_path / "near", "--frames", "[0]")
-    assert "warning" not in capsys.readouterr().out
+    assert "warning" not in capsys.readouterr().err
     frame = read_frame(dataset, 0)
     depth, pixels = frame.depth.copy(), frame.depth[0].size
     depth[0] = 70.0  # one camera of four sees nothing but what is farther than 65.5 m
@@ -233,7 +233,7 @@ def test_depth_that_is_too_far_for_nerfstudio_is_told_of(
     monkeypatch.setattr(export, "MultiViewDataset", lambda _: dataset)
     exported(dataset, tmp_path / "far", "--frames", "[0]")
     share = f"{pixels / depth.size:.1%} of the pixels show what is more than 65.5 m away"
-    assert share in capsys.readouterr().out and share.startswith("25.0%")
+    assert share in capsys.readouterr().err and share.startswith("25.0%")
 
 
 @pytest.mark.parametrize("kind", ["nerfstudio", "pointcloud"])
