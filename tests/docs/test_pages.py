@@ -13,7 +13,7 @@ from world import SMALLER, commands_of
 
 from nerf_rl.cli import COMMANDS
 from nerf_rl.viewer.subject import RESUMED
-from tools.page_tables import write_tables
+from tools.page_tables import AGENTS_PAGE, write_tables
 from tools.record import choices, recipe_agents
 
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
@@ -133,13 +133,20 @@ def test_the_tables_of_choices_hold_what_the_result_files_say() -> None:
         assert f"<!-- table: {name} -->\n{table}\n<!-- end -->" in text, "run tools/record/choices.py"
 
 
-@pytest.mark.parametrize("page", recipe_agents.PAGES, ids=str)
-def test_the_table_of_the_recipes_agents_holds_what_the_result_files_say(page: Path) -> None:
-    table = recipe_agents.table(ROOT / recipe_agents.RESULTS)
-    assert f"<!-- table: recipe-agents -->\n{table}\n<!-- end -->" in (ROOT / page).read_text(), (
-        "run tools/record/recipe_agents.py"
-    )
-    assert table.count("\n") > 8
+def test_the_tables_of_the_recipes_agents_hold_what_the_result_files_say() -> None:
+    results = ROOT / recipe_agents.RESULTS
+    table, summary = recipe_agents.table(results), recipe_agents.summary(results)
+    told = dict.fromkeys(recipe_agents.SUMMARY_PAGES, f"recipe-summary -->\n{summary}\n<!-- end -->")
+    told[AGENTS_PAGE] = f"recipe-agents -->\n{table}\n<!-- end -->"
+    for page, text in told.items():
+        assert f"<!-- table: {text}" in (ROOT / page).read_text(), f"run tools/record/recipe_agents.py for {page}"
+    assert table.count("\n") > 8 and summary.count("\n") > 6
+
+
+def test_a_summary_of_seeds_tells_their_mean_and_the_worst() -> None:
+    assert recipe_agents.mean_and_worst([0.5, 1.0, 0.9]) == "80 (50)"
+    assert recipe_agents.mean_and_worst([0.25]) == "25 (one seed)"
+    assert recipe_agents.mean_and_worst([]) == ""
 
 
 def test_success_rates_that_are_the_same_are_told_together() -> None:

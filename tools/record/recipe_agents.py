@@ -6,7 +6,8 @@ Run from a checkout's root:
 """
 
 import itertools
-from collections.abc import Iterable, Iterator
+import statistics
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from tools.compare.agent_runs import ON_THE_WAY, read_entries
 from tools.compare.agents import LATENTS, RESULTS, STATE, on_the_way
 from tools.page_tables import AGENTS_PAGE, markdown_table, task_name, write_tables
 
-PAGES = (Path("rl/README.md"), AGENTS_PAGE)
+SUMMARY_PAGES = (Path("README.md"), Path("rl/README.md"))
 BEFORE = "strong self-imitation, curriculum, overtime, triple bonus and early echoes, 1.5 updates a step, little noise"
 """The recipe until retries had held actions of their own."""
 HELD = f"{BEFORE}, held retries"
@@ -30,29 +31,61 @@ WITHOUT = {arm: ", ".join(NEW[:count]) for count, arm in enumerate((ARM, WIDE, H
 """what recipes lack that is in the recipe now"""
 WHOLE = 50_000
 """environment steps of a whole run"""
+EYES = {LATENTS: "the latent", STATE: "the true state"}
+"""what tables call what agents see"""
 
 
 def main() -> None:
-    """Write the table into each of its pages."""
-    for page in PAGES:
-        write_tables(page, {"recipe-agents": table()})
+    """Write the whole table into the page of what was measured, and the recipe's own rows in short into the READMEs."""
+    write_tables(AGENTS_PAGE, {"recipe-agents": table()})
+    for page in SUMMARY_PAGES:
+        write_tables(page, {"recipe-summary": summary()})
+
+
+def read_arms(results: Path) -> list[dict[str, Any]]:
+    """Return what all result files hold, an entry for each scene, eyes and arm."""
+    return [entry for file in sorted(results.glob("*.json")) for entry in read_entries(file, "arms")]
+
+
+def summary(results: Path = RESULTS) -> str:
+    """Return a row for each task and eyes: success by the recipe as it is, and of blind agents beside it."""
+    entries = read_arms(results)
+    rows = []
+    for scene, (eyes, name) in itertools.product(dict.fromkeys(entry["scene"] for entry in entries), EYES.items()):
+        if seen := list(runs_of(entries, scene, eyes, ARM)):
+            blind = list(runs_of(entries, scene, eyes, f"blind, {ARM}"))
+            told = [mean_and_worst(after(runs, steps)) for runs in (seen, blind) for steps in (ON_THE_WAY, WHOLE)]
+            rows.append([task_name(scene), name, len({run["seed"] for run in seen}), *told])
+    header = ["task", "from", "seeds", *columns()]
+    return markdown_table(header, rows)
+
+
+def mean_and_worst(successes: Sequence[float]) -> str:
+    """Return the mean and the worst of several success rates in percent; one alone says so."""
+    if not successes:
+        return ""
+    mean, worst = (f"{100 * rate:.0f}" for rate in (statistics.mean(successes), min(successes)))
+    return f"{mean} ({worst})" if len(successes) > 1 else f"{mean} (one seed)"
+
+
+def columns() -> list[str]:
+    """Return the headers of success rates."""
+    return [f"{who}after {steps:,}" for who in ("", "blind, ") for steps in (ON_THE_WAY, WHOLE)]
 
 
 def table(results: Path = RESULTS) -> str:
     """Return a row for each task, eyes and recipe; runs that ended earlier count where they were evaluated."""
-    entries = [entry for file in sorted(results.glob("*.json")) for entry in read_entries(file, "arms")]
+    entries = read_arms(results)
     rows = []
     for scene in dict.fromkeys(entry["scene"] for entry in entries):
-        for eyes, arm in itertools.product((LATENTS, STATE), WITHOUT):
+        for eyes, arm in itertools.product(EYES, WITHOUT):
             seen, blind = (list(runs_of(entries, scene, eyes, name)) for name in (arm, f"blind, {arm}"))
             if seen:
                 seeds = len({run["seed"] for run in seen})
                 encoders = len({run.get("encoder") for run in seen}) if eyes == LATENTS else ""
                 told = [after(seen, ON_THE_WAY), after(seen, WHOLE), after(blind, ON_THE_WAY), after(blind, WHOLE)]
-                name = "the latent" if eyes == LATENTS else "the true state"
-                rows.append([task_name(scene), name, WITHOUT[arm], encoders, seeds, *map(rates, told)])
-    steps = [f"{who}after {steps:,}" for who in ("", "blind, ") for steps in (ON_THE_WAY, WHOLE)]
-    return markdown_table(["task", "from", "without", "encoders", "seeds", *steps], rows)
+                rows.append([task_name(scene), EYES[eyes], WITHOUT[arm], encoders, seeds, *map(rates, told)])
+    return markdown_table(["task", "from", "without", "encoders", "seeds", *columns()], rows)
 
 
 def runs_of(entries: Iterable[dict[str, Any]], scene: str, eyes: str, arm: str) -> Iterator[dict[str, Any]]:
