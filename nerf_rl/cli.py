@@ -51,13 +51,13 @@ COMMANDS = {
         positional="source",
     ),
     "merge": Command(
-        "nerf_rl.datasets.upkeep.merge_config:MergeConfig",
+        "nerf_rl.datasets.upkeep.config:MergeConfig",
         "nerf_rl.datasets.upkeep.merge:merge",
         "put the parts that gen-dataset --shard I/N rendered together into one dataset",
         positional="parts+",
     ),
     "check": Command(
-        "nerf_rl.datasets.upkeep.check_config:CheckConfig",
+        "nerf_rl.datasets.upkeep.config:CheckConfig",
         "nerf_rl.datasets.upkeep.check:check",
         "find every changed, missing or unusable file of a dataset, and render such shards again",
         positional="folder",
@@ -131,12 +131,9 @@ def _run(name: str, arguments: Sequence[str], termination: Termination) -> int:
             raise UnknownNameError("command", name, COMMANDS)
         config = parse(name, arguments)
         _load(COMMANDS[name].function)(config)
-    except UserError as error:
+    except (UserError, FailureError) as error:
         print(f"nerf-rl {name}: {_one_line(error)}", file=sys.stderr)
-        return 2
-    except FailureError as error:
-        print(f"nerf-rl {name}: {_one_line(error)}", file=sys.stderr)
-        return 1
+        return 2 if isinstance(error, UserError) else 1
     except KeyboardInterrupt:
         print(f"nerf-rl {name}: {'terminated' if termination.asked else 'interrupted'}", file=sys.stderr)
         return 143 if termination.asked else 130

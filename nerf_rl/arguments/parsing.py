@@ -4,11 +4,11 @@ import copy
 import dataclasses
 import functools
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from jsonargparse import ActionConfigFile, ArgumentError, ArgumentParser, set_parsing_settings
+from jsonargparse import ActionConfigFile, ArgumentError, ArgumentParser, Namespace, set_parsing_settings
 
 from nerf_rl.arguments.explanations import explain
 from nerf_rl.arguments.limits import require_finite
@@ -42,14 +42,7 @@ def parse_config(config: type, program: str, description: str, arguments: Sequen
     arguments = _join_negative_numbers(arguments)
     arguments = list(_name_positional(arguments, positional)) if positional else arguments
     arguments = sorted(_check_recipes(arguments, config), key=lambda word: not word.startswith("--config="))
-    try:
-        namespace = parser.instantiate(parser.parse_args(arguments))
-        values = {field.name: namespace[field.name] for field in dataclasses.fields(config)}
-        made = config(**values)
-    except (ArgumentError, ValueError, TypeError, RecursionError, OverflowError) as error:
-        raise explain(str(error), config) from error
-    require_finite(made)
-    return made
+    return _made(config, parser, lambda: parser.parse_args(arguments))
 
 
 def config_of(config: type, content: Mapping[str, Any]) -> Any:
@@ -59,9 +52,18 @@ def config_of(config: type, content: Mapping[str, Any]) -> Any:
         UserError: a key that there is not, or a wrong value.
     """
     parser = _parser(config)
-    try:
+
+    def parse() -> Namespace:
         require_keys(content, config)
-        namespace = parser.instantiate(parser.parse_object(copy.deepcopy(dict(content))))
+        return parser.parse_object(copy.deepcopy(dict(content)))
+
+    return _made(config, parser, parse)
+
+
+def _made(config: type, parser: ArgumentParser, parse: Callable[[], Namespace]) -> Any:
+    """Return an instance of a dataclass from what a parser makes of its keys; errors are explained."""
+    try:
+        namespace = parser.instantiate(parse())
         made = config(**{field.name: namespace[field.name] for field in dataclasses.fields(config)})
     except (ArgumentError, ValueError, TypeError, RecursionError, OverflowError) as error:
         raise explain(str(error), config) from error

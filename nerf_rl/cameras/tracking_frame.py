@@ -46,28 +46,13 @@ class TrackingFrame:
 def to_tracking_frame(
     camera_from_world: Float[ndarray, "*#B 4 4"], origin: Float[ndarray, "*#B 3"]
 ) -> Float[ndarray, "*B 4 4"]:
-    """Return poses as they are in a tracking frame, from those in the world.
-
-    Args:
-        camera_from_world: in the world.
-        origin: of the tracking frame, in the world [m].
-    """
-    return _shifted(camera_from_world, origin)
+    """Return poses as they are in a tracking frame, whose origin is told in the world [m], from those in the world."""
+    shape = np.broadcast_shapes(camera_from_world.shape[:-2], origin.shape[:-1])
+    result = np.broadcast_to(camera_from_world, (*shape, 4, 4)).copy()
+    result[..., :3, 3] += (camera_from_world[..., :3, :3] @ origin[..., None])[..., 0]
+    return result
 
 
 def to_world(camera_from_frame: Float[ndarray, "*#B 4 4"], origin: Float[ndarray, "*#B 3"]) -> Float[ndarray, "*B 4 4"]:
-    """Return poses as they are in the world, from those in a tracking frame.
-
-    Args:
-        camera_from_frame: in the tracking frame.
-        origin: of the tracking frame, in the world [m].
-    """
-    return _shifted(camera_from_frame, -origin)
-
-
-def _shifted(pose: Float[ndarray, "*#B 4 4"], offset: Float[ndarray, "*#B 3"]) -> Float[ndarray, "*B 4 4"]:
-    """Return poses that take points to where they took them with an offset added."""
-    shape = np.broadcast_shapes(pose.shape[:-2], offset.shape[:-1])
-    result = np.broadcast_to(pose, (*shape, 4, 4)).copy()
-    result[..., :3, 3] += (pose[..., :3, :3] @ offset[..., None])[..., 0]
-    return result
+    """Return poses as they are in the world, from those in a tracking frame, whose origin is told in the world [m]."""
+    return to_tracking_frame(camera_from_frame, -origin)

@@ -21,9 +21,8 @@ def decoded_clip(
     field: RadianceField,
     rig: EncoderRig,
     palette: UInt8[ndarray, "C 3"],
-    camera: int = 0,
 ) -> UInt8[ndarray, "T S W2 3"]:
-    """Return frames: a view for people, one encoder camera's image above its decoded colours, labels above depth.
+    """Return frames: a view for people, the first encoder camera's image above its decoded colours, labels above depth.
 
     Args:
         view: what a camera for people saw.
@@ -32,17 +31,15 @@ def decoded_clip(
         field: trained with that encoder.
         rig: the encoder's cameras.
         palette: colours of the classes.
-        camera: which of the encoder's cameras to decode.
     """
     half = view.shape[1] // 2
-    chosen = slice(camera, camera + 1)
     decoded = []
     for latent in torch.from_numpy(latents):
-        pose = rig.camera_from_world[chosen]
-        decoded.append(render_images(field, latent, rig.intrinsics[chosen], pose, rig.height, rig.width, _SAMPLING))
+        pose = rig.camera_from_world[:1]
+        decoded.append(render_images(field, latent, rig.intrinsics[:1], pose, rig.height, rig.width, _SAMPLING))
     limits = surface_limits(np.stack([images.depth for images in decoded]), field.bounds.far)
     frames = []
-    for seen, image, rendered in zip(view, images[:, camera], decoded, strict=True):
+    for seen, image, rendered in zip(view, images[:, 0], decoded, strict=True):
         colours = (255 * rendered.rgb[0]).round().astype(np.uint8)
         depth = colour_depth(rendered.depth[0], *limits)
         left = np.concatenate([_scaled(image, half), _scaled(colours, half)])

@@ -41,7 +41,7 @@ def find_parts(model: mujoco.MjModel) -> BodyParts:
     finger, ...) are grippers; of an arm without such names it is the body where its chain of joints branches into
     fingers. Fixed trees with a name of furniture or of a room's parts are surroundings.
     """
-    driven = actuated_bodies(model) | led_bodies(model)
+    driven = actuated_bodies(model) | {led for led, _ in _led_and_leading(model)}
     robot = sorted({int(model.body_rootid[body]) for body in driven} - {0})
     gripper: list[int] = []
     for body in range(1, model.nbody):  # parents come before children
@@ -100,16 +100,6 @@ def actuated_bodies(model: mujoco.MjModel) -> set[int]:
                 elif model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_SITE:
                     bodies.add(int(model.site_bodyid[thing]))
     return bodies
-
-
-def led_bodies(model: mujoco.MjModel) -> set[int]:
-    """Return the ids of the bodies that an equality constraint, active from the start, lets follow a mocap body."""
-    return {led for led, _ in _led_and_leading(model)}
-
-
-def _leading_bodies(model: mujoco.MjModel) -> set[int]:
-    """Return the ids of the mocap bodies that those follow, and that a camera is not meant to see."""
-    return {leading for _, leading in _led_and_leading(model)}
 
 
 def _led_and_leading(model: mujoco.MjModel) -> list[tuple[int, int]]:
@@ -190,7 +180,7 @@ class PlacedGeoms:
 
     def __init__(self, model: mujoco.MjModel, parts: BodyParts):
         self.model = model
-        without = {*parts.robot, *parts.surroundings, *_leading_bodies(model)}
+        without = {*parts.robot, *parts.surroundings, *(leading for _, leading in _led_and_leading(model))}
         self._geoms = [
             geom
             for geom in drawn_geoms(model)

@@ -8,6 +8,8 @@ from optuna.trial import FrozenTrial, TrialState
 
 from nerf_rl.tuning.sampler import slot_of
 
+_LEAST_TRIALS = 4  # of earlier generations, without which nothing is pruned
+
 
 class EarlierMedianPruner(BasePruner):
     """Optuna's median rule among earlier generations: stop a trial whose best value so far is below their median.
@@ -15,12 +17,11 @@ class EarlierMedianPruner(BasePruner):
     Trials of the same generation do not count, so what is pruned does not depend on which of them was faster.
 
     Args:
-        startup_trials: finished trials of earlier generations without which nothing is pruned.
         warmup_steps: steps before which nothing is pruned.
     """
 
-    def __init__(self, startup_trials: int = 4, warmup_steps: int = 0):
-        self._startup_trials, self._warmup_steps = startup_trials, warmup_steps
+    def __init__(self, warmup_steps: int = 0):
+        self._warmup_steps = warmup_steps
 
     def prune(self, study: Study, trial: FrozenTrial) -> bool:
         """Tell whether to stop a trial after its last reported value."""
@@ -33,7 +34,7 @@ class EarlierMedianPruner(BasePruner):
             for other in study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
             if step in other.intermediate_values and (held := slot_of(other)) is not None and held[0] < slot[0]
         ]
-        if len(earlier) < self._startup_trials:
+        if len(earlier) < _LEAST_TRIALS:
             return False
         own = [sign * value for at, value in trial.intermediate_values.items() if at <= step]
         return not np.nanmax([-np.inf, *own]) >= np.nanmedian(earlier)

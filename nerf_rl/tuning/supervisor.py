@@ -20,10 +20,6 @@ _MOST_DEATHS = 10
 _PAUSE = 0.3  # [s] between two looks
 
 
-class StudyFailedError(FailureError):
-    """A study that cannot go on."""
-
-
 def supervise(task: Task, workers: int) -> optuna.Study:
     """Run a study in worker processes until it has all its trials; return it.
 
@@ -34,7 +30,7 @@ def supervise(task: Task, workers: int) -> optuna.Study:
         workers: how many.
 
     Raises:
-        StudyFailedError: several trials in a row raised an error, or workers die and nothing gets finished.
+        FailureError: several trials in a row raised an error, or workers die and nothing gets finished.
     """
     storage = open_storage(task.storage, Path(task.out))
     study = optuna.load_study(study_name=task.study, storage=storage)
@@ -59,9 +55,9 @@ def supervise(task: Task, workers: int) -> optuna.Study:
                 progress.advance(finished(trials) - done)
                 deaths, done = 0, finished(trials)
             if errors := last_errors(trials, task.first):
-                raise StudyFailedError(f"{ERRORS_IN_A_ROW} trials in a row failed, the last one with {errors[-1]}")
+                raise FailureError(f"{ERRORS_IN_A_ROW} trials in a row failed, the last one with {errors[-1]}")
             if deaths > _MOST_DEATHS:
-                raise StudyFailedError(
+                raise FailureError(
                     f"workers died {deaths} times and finished nothing meanwhile; see {log_of(task.out, 0).parent}"
                 )
         running.finish()

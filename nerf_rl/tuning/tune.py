@@ -13,7 +13,7 @@ from optuna.storages import BaseStorage
 from optuna.trial import TrialState
 
 from nerf_rl.arguments.stored_keys import require_same_keys, with_defaults
-from nerf_rl.errors import UserError
+from nerf_rl.errors import FailureError, UserError
 from nerf_rl.files.atomic import write_text
 from nerf_rl.files.outputs import check_output, command_of, plain, prepare_output, require_outside, write_provenance
 from nerf_rl.rl.config import NO_ENCODER, TrainRLConfig
@@ -25,7 +25,7 @@ from nerf_rl.tuning.recipe import check_space
 from nerf_rl.tuning.results import BEST, RECIPE, TRIALS, write_results
 from nerf_rl.tuning.search import Search, search_of
 from nerf_rl.tuning.storage import JOURNAL, open_storage
-from nerf_rl.tuning.supervisor import StudyFailedError, supervise
+from nerf_rl.tuning.supervisor import supervise
 from nerf_rl.tuning.worker import Task
 
 _CONTENT, _ITERATIONS = "content", "iterations"
@@ -38,7 +38,7 @@ def tune(config: TuneConfig) -> dict[str, Any]:
 
     Raises:
         UserError: a key or range that train-rl refuses, a storage that cannot be opened or holds another search.
-        StudyFailedError: trials or workers keep failing, or no trial ended well.
+        FailureError: trials or workers keep failing, or no trial ended well.
     """
     start, out = time.monotonic(), Path(config.out)
     base = check_space(config)
@@ -72,7 +72,7 @@ def tune(config: TuneConfig) -> dict[str, Any]:
     summary = write_results(study, config, time.monotonic() - start)
     spent = f"{summary['env_steps']} environment steps in all"
     if summary["best_trial"] is None:
-        raise StudyFailedError(f"every trial was pruned or diverged; {spent}; see {out / TRIALS}")
+        raise FailureError(f"every trial was pruned or diverged; {spent}; see {out / TRIALS}")
     print(f"best {config.fitness} {summary['best_value']:.4g}; {spent}; see {out / BEST}", flush=True)
     return summary
 

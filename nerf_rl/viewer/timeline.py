@@ -1,22 +1,8 @@
 """Episodes and their frames, found in a dataset of any size by reading a few numbers."""
 
 from bisect import bisect_left
-from collections.abc import Sequence
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
-
-
-class _EpisodeColumn(Sequence):
-    """The episode of each frame, each read from disk when it is asked for."""
-
-    def __init__(self, dataset: MultiViewDataset):
-        self._dataset = dataset
-
-    def __len__(self) -> int:
-        return len(self._dataset)
-
-    def __getitem__(self, frame):  # type: ignore[no-untyped-def]
-        return int(self._dataset.read("episode", [frame])[0])
 
 
 class Timeline:
@@ -30,9 +16,9 @@ class Timeline:
     """
 
     def __init__(self, dataset: MultiViewDataset):
-        self._column = _EpisodeColumn(dataset)
+        self._dataset = dataset
         self.frame_count = len(dataset)
-        self.first, self.last = self._column[0], self._column[len(dataset) - 1]
+        self.first, self.last = self.episode(0), self.episode(len(dataset) - 1)
 
     def frames(self, episode: int) -> range:
         """Return the frames of an episode; of the next one that has frames, if it has none.
@@ -42,9 +28,10 @@ class Timeline:
         """
         if not self.first <= episode <= self.last:
             raise IndexError(f"episodes are {self.first} to {self.last}, got {episode}")
-        begin = bisect_left(self._column, episode)
-        return range(begin, bisect_left(self._column, self._column[begin] + 1, begin))
+        frames = range(self.frame_count)
+        begin = bisect_left(frames, episode, key=self.episode)
+        return range(begin, bisect_left(frames, self.episode(begin) + 1, begin, key=self.episode))
 
     def episode(self, frame: int) -> int:
         """Return the episode of a frame."""
-        return self._column[frame]
+        return int(self._dataset.read("episode", [frame])[0])

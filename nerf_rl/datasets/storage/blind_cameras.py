@@ -16,22 +16,15 @@ _LITTLE = 1e-3  # of a picture's pixels, that do not show the background
 _OFTEN = 0.1  # of the frames
 
 
-def blind_cameras(dataset: MultiViewDataset) -> dict[str, float]:
-    """Return the cameras that in a tenth or more of the frames see the background alone, while another one sees more.
+def warn_of_blind_cameras(folder: Path) -> dict[str, dict[str, float]]:
+    """Warn of cameras that in a tenth or more of the frames see the background alone, while another one sees more.
 
     Each of their pictures may be right, but tells an encoder nothing of what moves. Nothing is known of pictures that
-    have no labels, as imported ones may be.
+    have no labels, as imported ones may be. If no camera sees anything but the background in any of the frames, that is
+    warned of, too.
 
     Returns:
-        The share of such frames, by the camera's name.
-    """
-    return {} if LABELS in dataset.absent else _blind(dataset, _sees(dataset))
-
-
-def warn_of_blind_cameras(folder: Path) -> dict[str, dict[str, float]]:
-    """Print a warning for each of a dataset's :func:`blind_cameras`; return what its summary is to say of them.
-
-    If no camera sees anything but the background in any of the frames, that is warned of.
+        What the dataset's summary is to say of them: the share of such frames, by the camera's name.
     """
     dataset = MultiViewDataset(folder)
     if LABELS in dataset.absent:

@@ -44,6 +44,11 @@ class Frame:
     valid: Bool[ndarray, "V H W"] | None = None
     """which pixels count; None where all do"""
 
+    def cameras(self, views: list[int]) -> tuple[Float[ndarray, "N 3 3"], Float[ndarray, "N 4 4"], tuple[int, int]]:
+        """Return the intrinsics and poses of N views, and the height and width of all [pixels]."""
+        height, width = self.depth.shape[1:]
+        return self.intrinsics[views], self.camera_from_world[views], (height, width)
+
 
 @dataclass(frozen=True)
 class EpisodeColumns:

@@ -10,7 +10,6 @@ import os
 import shlex
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from types import TracebackType
 
 import h5py
 import numpy as np
@@ -156,11 +155,9 @@ class ShardWriter:
     def __enter__(self) -> "ShardWriter":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         try:
-            if error is not None:
+            if exception[0] is not None:
                 return
             if self._written != self._frames:
                 raise RuntimeError(f"{self._path.name}: {self._written} frames were written instead of {self._frames}")

@@ -7,7 +7,7 @@ from pathlib import Path
 from nerf_rl.datasets.storage.plan import PLAN
 from nerf_rl.datasets.storage.shards import MANIFEST
 from nerf_rl.datasets.storage.stored_manifest import IMPORTED_FROM
-from nerf_rl.datasets.upkeep.check_config import CheckConfig
+from nerf_rl.datasets.upkeep.config import CheckConfig
 from nerf_rl.datasets.upkeep.problems import IMPORT_AGAIN, Problem, find_problems
 from nerf_rl.errors import FailureError
 from nerf_rl.files.json_files import read_json

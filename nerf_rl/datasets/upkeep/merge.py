@@ -11,7 +11,7 @@ from nerf_rl.datasets.storage.disk import explain_full_disk, require_space
 from nerf_rl.datasets.storage.finished_shards import renderers_in, with_shards
 from nerf_rl.datasets.storage.plan import PLAN, begun_plan, same_content
 from nerf_rl.datasets.storage.shards import MANIFEST, PARTS, SHARDS, sha256_of, shard_file
-from nerf_rl.datasets.upkeep.merge_config import MergeConfig
+from nerf_rl.datasets.upkeep.config import MergeConfig
 from nerf_rl.errors import FailureError, MissingFileError, UserError
 from nerf_rl.files.atomic import atomic_write
 from nerf_rl.files.checksummed_json import CHECKSUM, is_whole, write_checksummed

@@ -65,7 +65,7 @@ class ViewBatches(Dataset):
         projections = intrinsics[self._views] @ poses[:, self._views, :3]
         metres = self._dataset.read("depth", frames)[:, self._views]
         depth = (metres - self._near) / (self._far - self._near)
-        middles = self._middles(frames, metres, intrinsics[self._views], poses[:, self._views])
+        middles, shares = self._classes(frames, metres, intrinsics[self._views], poses[:, self._views])
         state = self._dataset.tracked_positions(frames)[:, self._columns]
         return ViewBatch(
             torch.from_numpy(np.ascontiguousarray(images)),
@@ -74,24 +74,19 @@ class ViewBatches(Dataset):
             torch.from_numpy(((state - self._mean) / self._deviation).astype(np.float32)),
             torch.from_numpy(middles.place.astype(np.float32)),
             torch.from_numpy(middles.seen),
-            torch.from_numpy(self._cell_shares(frames)),
+            torch.from_numpy(shares),
         )
 
-    def _cell_shares(self, frames: ndarray) -> ndarray:
-        """Return what the cells of the pictures show, of none if nothing learns from that."""
+    def _classes(self, frames: ndarray, depth: ndarray, intrinsics: ndarray, poses: ndarray) -> tuple[Middles, ndarray]:
+        """Return where classes are and what cells show, as :class:`ViewBatch` tells it; none if nothing learns that."""
         if self._followed is None:
-            return np.zeros((len(frames), len(self._views), 0, 0, 0), np.float32)
-        valid = self._dataset.read_valid(frames)
-        labels = self._dataset.read_labels(frames)[:, self._views]
-        return self._shares.of(labels, None if valid is None else valid[:, self._views])
-
-    def _middles(self, frames: ndarray, depth: ndarray, intrinsics: ndarray, poses: ndarray) -> Middles:
-        """Return where classes are as :class:`ViewBatch` tells it, of none if nothing learns from them."""
-        if self._followed is None:
-            return Middles(np.zeros((len(frames), 0, 3)), np.zeros((len(frames), 0), bool))
-        labels = countable_labels(self._dataset.read_labels(frames), self._dataset.read_valid(frames))[:, self._views]
-        found = self._followed.of(frames, depth, labels, intrinsics, poses)
-        return found._replace(place=(found.place - self._anchors.mean) / self._anchors.spread[:, None])
+            nowhere = Middles(np.zeros((len(frames), 0, 3)), np.zeros((len(frames), 0), bool))
+            return nowhere, np.zeros((len(frames), len(self._views), 0, 0, 0), np.float32)
+        labels, valid = self._dataset.read_labels(frames), self._dataset.read_valid(frames)
+        countable = countable_labels(labels, valid)[:, self._views]
+        found = self._followed.of(frames, depth, countable, intrinsics, poses)
+        shares = self._shares.of(labels[:, self._views], None if valid is None else valid[:, self._views])
+        return found._replace(place=(found.place - self._anchors.mean) / self._anchors.spread[:, None]), shares
 
 
 def standardised_state(dataset: MultiViewDataset) -> tuple[list[int], np.ndarray, np.ndarray]:

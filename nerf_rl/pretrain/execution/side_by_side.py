@@ -7,10 +7,11 @@ is the same for a number of threads, whichever of them is faster.
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import torch
 from torch import Tensor
+
+from nerf_rl.pretrain.execution.known_gradients import with_gradients
 
 Losses = dict[str, Tensor]
 
@@ -51,7 +52,7 @@ class Shares:
         gradients = [_sum(column) for column in zip(*(found[2] for found in each), strict=True)]
         means = {name: torch.stack([found[0][name] for found in each]).mean() for name in each[0][0]}
         total = torch.stack([found[1] for found in each]).mean()
-        return means, _KnownGradients.apply(total, gradients, *parameters)
+        return means, with_gradients(total, gradients, parameters)
 
 
 def equal_shares(scenes: int, most: int) -> list[slice]:
@@ -59,20 +60,6 @@ def equal_shares(scenes: int, most: int) -> list[slice]:
     count = next(count for count in range(min(most, scenes), 0, -1) if scenes % count == 0)
     each = scenes // count
     return [slice(first, first + each) for first in range(0, scenes, each)]
-
-
-class _KnownGradients(torch.autograd.Function):
-    """A number whose gradients for some parameters are known already."""
-
-    @staticmethod
-    def forward(ctx: Any, total: Tensor, gradients: list[Tensor | None], *parameters: Tensor) -> Tensor:
-        ctx.gradients = gradients
-        return total.clone()
-
-    @staticmethod
-    def backward(ctx: Any, *outer: Tensor) -> Any:
-        (factor,) = outer
-        return None, None, *(None if gradient is None else factor * gradient for gradient in ctx.gradients)
 
 
 def _sum(column: tuple[Tensor | None, ...]) -> Tensor | None:

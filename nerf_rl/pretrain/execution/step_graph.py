@@ -1,10 +1,11 @@
 """A training step as one launch: on a GPU, to launch its many small kernels takes longer than to run them."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import torch
 from torch import Tensor, nn
+
+from nerf_rl.pretrain.execution.known_gradients import with_gradients
 
 Losses = Callable[[Sequence[Tensor]], tuple[dict[str, Tensor], Tensor]]
 _WARM_UPS = 3  # as PyTorch does before it captures: libraries choose their kernels in the first
@@ -39,23 +40,9 @@ class StepGraph:
         """Return a step's losses by name, which the next step overwrites, and their sum, which has its gradients."""
         torch._foreach_copy_(self._inputs, list(inputs))
         self._graph.replay()
-        total: Tensor = _Replayed.apply(self._total, self._gradients, *self._parameters)  # type: ignore[no-untyped-call]
-        return self._named, total
+        return self._named, with_gradients(self._total, self._gradients, self._parameters)
 
     def _compute(self, losses: Losses) -> tuple[dict[str, Tensor], Tensor, tuple[Tensor, ...]]:
         named, total = losses(self._inputs)
         gradients = torch.autograd.grad(total, self._parameters, allow_unused=True, materialize_grads=True)
         return {name: value.detach() for name, value in named.items()}, total.detach(), gradients
-
-
-class _Replayed(torch.autograd.Function):
-    """A sum whose gradients are known."""
-
-    @staticmethod
-    def forward(ctx: Any, total: Tensor, gradients: tuple[Tensor, ...], *parameters: nn.Parameter) -> Tensor:
-        ctx.gradients = gradients
-        return total.clone()
-
-    @staticmethod
-    def backward(ctx: Any, *outer: Tensor) -> tuple[Tensor | None, ...]:
-        return None, None, *torch._foreach_mul(ctx.gradients, outer[0])

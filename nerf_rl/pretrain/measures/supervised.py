@@ -1,7 +1,5 @@
 """An encoder that is trained on the true state: how well a latent of that size can know it from these frames."""
 
-import math
-
 import numpy as np
 import torch
 from torch import nn
@@ -9,11 +7,11 @@ from torch.nn import functional as F
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.pretrain.model.encoder import Encoder
+from nerf_rl.pretrain.schedules import warm_cosine
 from nerf_rl.progress import Progress
 
 _FRAMES_PER_STEP = 64
 _LEARNING_RATE = 7e-4
-_WARM_UP, _LAST_RATE = 0.03, 0.02  # as in pretraining
 _LONGEST_GRADIENT = 1.0
 
 
@@ -38,7 +36,7 @@ def train_supervised(like: Encoder, dataset: MultiViewDataset, columns: list[int
         encoder, head = like.anew(), nn.Linear(like.latent_size, len(columns))
     parameters = [*encoder.parameters(), *head.parameters()]
     optimiser = torch.optim.Adam(parameters, lr=_LEARNING_RATE, betas=(0.9, 0.99), fused=True)
-    schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda step: _rate(step / steps))
+    schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda step: warm_cosine(step / steps))
     with Progress(steps, "steps of the supervised encoder") as progress:
         for _ in range(steps):
             chosen = rng.integers(len(frames), size=_FRAMES_PER_STEP)
@@ -51,9 +49,3 @@ def train_supervised(like: Encoder, dataset: MultiViewDataset, columns: list[int
             schedule.step()
             progress.advance()
     return encoder.eval().requires_grad_(False)
-
-
-def _rate(done: float) -> float:
-    if done < _WARM_UP:
-        return 0.1 + 0.9 * done / _WARM_UP
-    return _LAST_RATE + (1.0 - _LAST_RATE) * (0.5 + 0.5 * math.cos(math.pi * (done - _WARM_UP) / (1.0 - _WARM_UP)))

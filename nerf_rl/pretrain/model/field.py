@@ -278,14 +278,10 @@ class RadianceField(nn.Module):
         config = FieldConfig(**{"object_plane_size": 0, **described["config"]})  # none before they were there
         bounds = FieldBounds(**{name: _as_tuple(value) for name, value in described["bounds"].items()})
         sizes = {name: described[name] for name in ("latent", "classes", "teacher_features", "anchors")}
-
-        def make() -> RadianceField:
-            return cls(config, bounds, **sizes)
-
         tensors = read_tensors(folder / WEIGHTS)
         if frames := described["anchors"] + config.free_frames:
             tensors.setdefault("frame_origins.units", torch.ones(frames))  # one for all, before there were more
-        return filled(make, tensors, folder / WEIGHTS).eval()
+        return filled(lambda: cls(config, bounds, **sizes), tensors, folder / WEIGHTS).eval()
 
 
 def _as_tuple(value: Any) -> Any:

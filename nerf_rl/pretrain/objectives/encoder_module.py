@@ -21,10 +21,9 @@ from nerf_rl.pretrain.model.checkpoint_file import DATASET, ENCODER
 from nerf_rl.pretrain.model.encoder import Encoder
 from nerf_rl.pretrain.model.encoder_file import SIMULATORS
 from nerf_rl.pretrain.model.encoder_rig import EncoderRig
+from nerf_rl.pretrain.schedules import warm_cosine
 from nerf_rl.pretrain.stopping import parse_goal
 
-_WARM_UP = 0.03  # share of the schedule in which the learning rate rises
-_LAST_RATE = 0.02  # of the peak rate
 _LONGEST_GRADIENT = 1.0
 _START = 0.02  # share of a budget of time in which time does not count: a run begins slowly, whatever it does later
 IMPORTED_QUALITY = "full"
@@ -104,12 +103,8 @@ class EncoderModule(lightning.LightningModule):
         return math.inf if self.config.max_minutes is None else max(60.0 * self.config.max_minutes - self.seconds, 0.0)
 
     def learning_rate_factor(self) -> float:
-        """Return the learning rate as a share of its peak: a linear rise, then a cosine."""
-        done = self.progress()
-        if done < _WARM_UP:
-            return 0.1 + 0.9 * done / _WARM_UP
-        cosine = 0.5 + 0.5 * math.cos(math.pi * (done - _WARM_UP) / (1.0 - _WARM_UP))
-        return _LAST_RATE + (1.0 - _LAST_RATE) * cosine
+        """Return the learning rate as a share of its peak."""
+        return warm_cosine(self.progress())
 
     def parameter_groups(self) -> list[dict[str, Any]]:
         """Return what the optimiser moves; a group without a rate has the run's."""

@@ -71,16 +71,12 @@ class DepthPrediction(Objective):
         return {"depth": F.l1_loss(painted[:, :, 0], batch.depth)}
 
 
-class MaskedAutoencoder(Objective):
+class MaskedAutoencoder(Autoencoder):
     """What is hidden from the encoder is painted from z: one view of each scene, and half of the patches of the others.
 
     After multi-view masked autoencoding (Seo et al., "Multi-View Masked World Models for Visual Robotic Manipulation",
     ICML 2023), with the convolutional encoder and z as the only way through.
     """
-
-    def __init__(self, encoder: Encoder, columns: int, classes: int):
-        super().__init__(encoder, columns, classes)
-        self.decoder = PictureDecoder(encoder, channels=3)
 
     def forward(self, encoder: Encoder, batch: ViewBatch, generator: torch.Generator) -> dict[str, Tensor]:
         """Return the error of hidden pixels."""

@@ -10,9 +10,10 @@ from torch import Tensor, nn
 from nerf_rl.rl.config import NetworkConfig
 
 
-def _normalisation(kind: str, width: int) -> nn.Module:
-    layers = {"layer": nn.LayerNorm, "batch": nn.BatchNorm1d}
-    return layers[kind](width) if kind in layers else nn.Identity()
+def _layer(inputs: int, width: int, normalisation: str) -> list[nn.Module]:
+    norms: dict[str, type[nn.Module]] = {"layer": nn.LayerNorm, "batch": nn.BatchNorm1d}
+    norm = norms[normalisation](width) if normalisation in norms else nn.Identity()
+    return [nn.Linear(inputs, width), norm, nn.ReLU()]
 
 
 def _initialise(module: nn.Module, last: nn.Linear) -> None:
@@ -31,15 +32,8 @@ class Actor(nn.Module):
 
     def __init__(self, observation_size: int, action_size: int, config: NetworkConfig):
         super().__init__()
-        first, second = config.hidden
-        self.trunk = nn.Sequential(
-            nn.Linear(observation_size, first),
-            _normalisation(config.normalisation, first),
-            nn.ReLU(),
-            nn.Linear(first, second),
-            _normalisation(config.normalisation, second),
-            nn.ReLU(),
-        )
+        (first, second), kind = config.hidden, config.normalisation
+        self.trunk = nn.Sequential(*_layer(observation_size, first, kind), *_layer(first, second, kind))
         self.head = nn.Linear(second, action_size)
         _initialise(self, self.head)
 
@@ -57,13 +51,9 @@ class Critic(nn.Module):
 
     def __init__(self, observation_size: int, action_size: int, config: NetworkConfig):
         super().__init__()
-        first, second = config.hidden
-        self.observe = nn.Sequential(
-            nn.Linear(observation_size, first), _normalisation(config.normalisation, first), nn.ReLU()
-        )
-        self.join = nn.Sequential(
-            nn.Linear(first + action_size, second), _normalisation(config.normalisation, second), nn.ReLU()
-        )
+        (first, second), kind = config.hidden, config.normalisation
+        self.observe = nn.Sequential(*_layer(observation_size, first, kind))
+        self.join = nn.Sequential(*_layer(first + action_size, second, kind))
         self.head = nn.Linear(second, 1)
         _initialise(self, self.head)
 

@@ -1,6 +1,6 @@
 """The trained policy as a pair of files: ``policy.safetensors`` (weights) and ``policy.json`` (all else)."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -101,11 +101,8 @@ class Policy:
         weights = run / POLICY_WEIGHTS
         sizes = (content["observation_size"], content["action_size"])
         actor = filled(lambda: make_actor(*sizes, network), read_tensors(weights), weights)
-        names = ("observation_size", "action_size", "proprio_names", "encoder_digest", "env_steps")
-        kept = {name: content[name] for name in names} | {
-            "demonstrations": content.get("demonstrations", 0),
-            "to_end": content.get("to_end", False),
-        }
+        names = {field.name for field in fields(Policy)} - {"actor", "spec", "network"}
+        kept = {name: content[name] for name in names & content.keys()}
         return Policy(actor.eval().requires_grad_(False).to(device), spec_from_json(content["env"]), network, **kept)
 
 

@@ -52,18 +52,15 @@ class NStep:
         self._steps.append((observation, action, reward))
         self._last = next_observation
         if terminated or truncated:
-            return self._flush(terminated)
+            return self.cut(terminated)
         if len(self._steps) < self._n:
             return []
         transition = self._transition(terminated=False)
         self._steps.popleft()
         return [transition]
 
-    def cut(self) -> list[Transition]:
-        """End the episode from the outside, as a truncation after the last step."""
-        return self._flush(terminated=False)
-
-    def _flush(self, terminated: bool) -> list[Transition]:
+    def cut(self, terminated: bool = False) -> list[Transition]:
+        """End the episode after the last step, from the outside as a truncation."""
         transitions = []
         while self._steps:
             transitions.append(self._transition(terminated))

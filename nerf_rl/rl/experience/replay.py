@@ -161,10 +161,8 @@ class Replay:
         count = self._batch_size - self._demonstrated()
         index, information = self._sampler.sample(self._storage, count)
         weight = information["priority_weight"].float().reshape(count) if self.prioritised else torch.ones(count)
-        rows = self._gather_rows(index)
-        if self._demonstrated():
-            places, shown = self._draw_demonstrated(self._demonstrated())
-            index, rows = torch.cat([index, self._capacity + places]), torch.cat([rows, shown])
+        index, rows = self._with_demonstrations(index, self._gather_rows(index))
+        if len(index) > count:
             weight = torch.cat([weight, weight.mean().expand(len(index) - count)])
         return self._batch(index, weight, rows)
 
@@ -177,10 +175,7 @@ class Replay:
         """Draw a batch in which all transitions are alike, with its share of demonstrations."""
         count = self._batch_size - self._demonstrated()
         index = torch.randint(len(self), (count,), generator=self.generator)
-        rows = self._gather_rows(index)
-        if self._demonstrated():
-            places, shown = self._draw_demonstrated(self._demonstrated())
-            index, rows = torch.cat([index, self._capacity + places]), torch.cat([rows, shown])
+        index, rows = self._with_demonstrations(index, self._gather_rows(index))
         return self._batch(index, torch.ones(len(index)), rows)
 
     def observations(self, index: Int[ndarray, "B"]) -> Float[ndarray, "B O"]:
@@ -308,6 +303,13 @@ class Replay:
     def _draw_demonstrated(self, count: int) -> tuple[Int[Tensor, "count"], Float[Tensor, "count W"]]:
         places = torch.randint(self.demonstrations, (count,), generator=self.generator)
         return places, self._demonstrations.index_select(0, places)
+
+    def _with_demonstrations(self, index: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """Return drawn rows with the batch's share of demonstrations behind them."""
+        if not self._demonstrated():
+            return index, rows
+        places, shown = self._draw_demonstrated(self._demonstrated())
+        return torch.cat([index, self._capacity + places]), torch.cat([rows, shown])
 
     def _bounds_of(self, index: Int[Tensor, "B"]) -> Float[Tensor, "B"]:
         """Return the bounds of rows; there are none of demonstrations."""

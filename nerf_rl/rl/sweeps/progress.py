@@ -3,7 +3,6 @@
 import threading
 from collections.abc import Iterable
 from pathlib import Path
-from types import TracebackType
 
 from nerf_rl.progress import Progress
 from nerf_rl.rl.config import TrainRLConfig
@@ -74,11 +73,9 @@ class SweepProgress:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self._stop.set()
         self._thread.join()
-        if kind is None:
+        if exception[0] is None:
             self._show()
-        self._progress.__exit__(kind, error, trace)
+        self._progress.__exit__(*exception)

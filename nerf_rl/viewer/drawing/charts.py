@@ -50,17 +50,15 @@ def columns_chart(columns: EpisodeColumns) -> UInt8[ndarray, "A B 3"]:
 
 
 def lines_chart(
-    lines: dict[str, Float[ndarray, "N"]], xlabel: str, now: float | None = None, x: ndarray | None = None
+    lines: dict[str, Float[ndarray, "N"]], xlabel: str, x: ndarray | None = None
 ) -> UInt8[ndarray, "A B 3"]:
-    """Return lines over 0, 1, 2, ... or ``x``, one panel each, below one another; ``now`` marks a place."""
+    """Return lines over 0, 1, 2, ... or ``x``, one panel each, below one another."""
     figure = _figure(4.4, 1.3 * len(lines) + 0.4)
     panels = np.atleast_1d(figure.subplots(len(lines), 1, sharex=True))
     for axes, (name, values) in zip(panels, lines.items(), strict=True):
         axes.plot(np.arange(len(values)) if x is None else x, values)
         axes.set_ylabel(_literal(name), fontsize=8)
         axes.tick_params(labelsize=7)
-        if now is not None:
-            axes.axvline(now, color="0.4", linewidth=1)
     panels[-1].set_xlabel(xlabel, fontsize=8)
     return rasterise(figure)
 

@@ -29,7 +29,7 @@ def magnify(image: UInt8[ndarray, "H W 3"], height: int) -> UInt8[ndarray, "A B 
 
 def side_by_side(images: Sequence[UInt8[ndarray, "H W 3"]], height: int, gap: int = 4) -> UInt8[ndarray, "A B 3"]:
     """Return images in a row, scaled to one height [pixels]."""
-    return _join([magnify(image, height) for image in images], gap, axis=1)
+    return joined([magnify(image, height) for image in images], gap, axis=1)
 
 
 def stack(rows: Sequence[UInt8[ndarray, "_ _ 3"]], gap: int = 4) -> UInt8[ndarray, "A B 3"]:
@@ -37,7 +37,7 @@ def stack(rows: Sequence[UInt8[ndarray, "_ _ 3"]], gap: int = 4) -> UInt8[ndarra
     widest = max(row.shape[1] for row in rows)
     padding = [((0, 0), (0, widest - row.shape[1]), (0, 0)) for row in rows]
     filled = [np.pad(row, pad, constant_values=_BACKGROUND) for row, pad in zip(rows, padding, strict=True)]
-    return _join(filled, gap, axis=0)
+    return joined(filled, gap, axis=0)
 
 
 def camera_strip(
@@ -93,7 +93,8 @@ def _write(picture: ndarray, text: str, place: tuple[int, int]) -> None:
     cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.42, (60, 60, 60), 1, cv2.LINE_AA)
 
 
-def _join(images: Sequence[ndarray], gap: int, axis: int) -> UInt8[ndarray, "A B 3"]:
+def joined(images: Sequence[ndarray], gap: int, axis: int) -> UInt8[ndarray, "A B 3"]:
+    """Return images that fit below each other (axis 0) or in a row (1), with a gap [pixels] between them."""
     shape = list(images[0].shape)
     shape[axis] = gap
     space = np.full(shape, _BACKGROUND, np.uint8)

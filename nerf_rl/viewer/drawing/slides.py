@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from nerf_rl.datasets.storage.frames import Frame, read_frame
 from nerf_rl.datasets.storage.reader import MultiViewDataset
-from nerf_rl.viewer.drawing.pictures import caption, stack
+from nerf_rl.viewer.drawing.pictures import caption, joined, stack
 
 Picture = Callable[[Frame, int], UInt8[ndarray, "_ _ 3"]]
 """From a frame and the number of a camera to its picture."""
@@ -28,11 +28,6 @@ DrawSlide = Callable[[], Slide]
 """Draws a slide when it is needed: a contact sheet has room for a few of many."""
 
 
-def chosen_frames(dataset: MultiViewDataset, count: int) -> list[int]:
-    """Return frames evenly spread over a dataset, at most ``count``."""
-    return evenly_chosen(len(dataset), count)
-
-
 def evenly_chosen(total: int, count: int) -> list[int]:
     """Return places evenly spread over ``total``, the first and the last among them, at most ``count``."""
     return np.unique(np.linspace(0, total - 1, min(count, total)).astype(int)).tolist()
@@ -47,11 +42,7 @@ def in_columns(cells: list[UInt8[ndarray, "A B 3"]], columns: int, gap: int = 8)
     """Return pictures of one size in rows of ``columns``."""
     blank = np.full_like(cells[0], 255)
     padded = [*cells, *[blank] * (-len(cells) % columns)]
-    space = np.full((blank.shape[0], gap, 3), 255, np.uint8)
-    rows = []
-    for start in range(0, len(padded), columns):
-        parts = [part for cell in padded[start : start + columns] for part in (cell, space)][:-1]
-        rows.append(np.concatenate(parts, axis=1))
+    rows = [joined(padded[start : start + columns], gap, axis=1) for start in range(0, len(padded), columns)]
     return stack(rows, gap)
 
 

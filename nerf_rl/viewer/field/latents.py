@@ -80,8 +80,3 @@ class Probe:
         """Return what the probe reads from a latent [m]."""
         values = linear_probe(self.latents, self.targets, latent[None].double().cpu().numpy())[0]
         return dict(zip(self.names, values.tolist(), strict=True))
-
-
-def interpolate(start: Float[Tensor, "Z"], end: Float[Tensor, "Z"], share: float) -> Float[Tensor, "Z"]:
-    """Return the latent on the line between two, ``start`` at share 0."""
-    return start + share * (end - start)

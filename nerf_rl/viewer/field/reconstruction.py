@@ -1,9 +1,9 @@
 """A frame's cameras beside what the radiance field renders from its latent."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from nerf_rl.datasets.storage.frames import Frame
@@ -19,14 +19,16 @@ _MOST_DEPTH_ERROR = 0.1  # [m]
 
 
 def render_views(
-    field: ConditionedField, frame: Frame, views: Sequence[int], stale: Callable[[], bool] = lambda: False
+    field: ConditionedField,
+    intrinsics: Float[ndarray, "V 3 3"],
+    camera_from_world: Float[ndarray, "V 4 4"],
+    size: tuple[int, int],
+    stale: Callable[[], bool] = lambda: False,
 ) -> list[RenderedImages] | None:
-    """Return what the field renders for some of a frame's cameras, or None if a newer frame is wanted."""
-    height, width = frame.depth.shape[1:]
-    rendered = []
-    for view in views:
-        camera = FreeCamera.of_view(frame.intrinsics[view], frame.camera_from_world[view], height, width)
-        longer = max(height, width)
+    """Return what the field renders for cameras of a height and width [pixels]; None if it is not wanted any more."""
+    rendered, longer = [], max(size)
+    for view in range(len(intrinsics)):
+        camera = FreeCamera.of_view(intrinsics[view], camera_from_world[view], *size)
         finest = list(render_progressively(field, camera, max(8, longer // 2), [Picture(longer)], stale))
         if len(finest) < 2:
             return None

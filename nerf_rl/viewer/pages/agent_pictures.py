@@ -17,7 +17,7 @@ from nerf_rl.rl.training.evaluation_results import tells_success
 from nerf_rl.viewer.drawing.charts import lines_chart, rasterise
 from nerf_rl.viewer.drawing.pictures import caption, magnify, side_by_side, stack
 from nerf_rl.viewer.drawing.slides import Slide
-from nerf_rl.viewer.field.progressive import FreeCamera, Picture, render_progressively
+from nerf_rl.viewer.field.reconstruction import render_views
 from nerf_rl.viewer.pages.agent import ActedEpisode, Agent
 
 _PROGRESS = ("episode_return", "episode_success", "q", "td_error", "critic_loss", "pre_tanh", "noise")
@@ -40,14 +40,7 @@ def decode_views(
     field: ConditionedField, rig: EncoderRig, stale: Callable[[], bool] = lambda: False
 ) -> list[RenderedImages] | None:
     """Return what a field renders for each of the encoder's cameras; None if a newer picture is wanted before."""
-    rendered, longer = [], max(rig.height, rig.width)
-    for i in range(len(rig.names)):
-        camera = FreeCamera.of_view(rig.intrinsics[i], rig.camera_from_world[i], rig.height, rig.width)
-        images = list(render_progressively(field, camera, max(8, longer // 2), [Picture(longer)], stale))
-        if len(images) < 2:
-            return None
-        rendered.append(images[-1])
-    return rendered
+    return render_views(field, rig.intrinsics, rig.camera_from_world, (rig.height, rig.width), stale)
 
 
 def draw_decoded(

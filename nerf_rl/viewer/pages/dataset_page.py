@@ -25,12 +25,12 @@ def save_dataset(config: ViewConfig, dataset: MultiViewDataset) -> None:
     from nerf_rl.datasets.storage.frames import read_columns, read_frame
     from nerf_rl.viewer.drawing.charts import columns_chart, statistics_charts
     from nerf_rl.viewer.drawing.pictures import camera_strip, depth_limits
-    from nerf_rl.viewer.drawing.slides import chosen_frames, dataset_slides
+    from nerf_rl.viewer.drawing.slides import dataset_slides, evenly_chosen
     from nerf_rl.viewer.drawing.statistics import sample_statistics
     from nerf_rl.viewer.pages.saving import record_scene, save
     from nerf_rl.viewer.timeline import Timeline
 
-    frames = chosen_frames(dataset, config.frames)
+    frames = evenly_chosen(len(dataset), config.frames)
     limits = depth_limits(read_frame(dataset, 0))
     timeline = Timeline(dataset)
 

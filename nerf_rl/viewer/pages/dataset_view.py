@@ -14,7 +14,7 @@ from nerf_rl.viewer.drawing.charts import statistics_charts
 from nerf_rl.viewer.drawing.pictures import camera_strip, depth_scale, legend
 from nerf_rl.viewer.drawing.statistics import sample_statistics
 from nerf_rl.viewer.newest import NewestOnly
-from nerf_rl.viewer.panels.camera_panel import CameraPanel, Picture
+from nerf_rl.viewer.panels.camera_panel import CameraPanel
 from nerf_rl.viewer.panels.columns_panel import ColumnsPanel
 from nerf_rl.viewer.panels.scene_panel import ScenePanel
 from nerf_rl.viewer.panels.timeline_panel import TimelinePanel
@@ -39,17 +39,9 @@ class DatasetView:
     Args:
         server: to build it on.
         dataset: to show.
-        draw: makes a camera's picture; colours, labels and depth by default.
-        views: the cameras to show pictures of; all by default.
     """
 
-    def __init__(
-        self,
-        server: viser.ViserServer,
-        dataset: MultiViewDataset,
-        draw: Picture | None = None,
-        views: list[int] | None = None,
-    ):
+    def __init__(self, server: viser.ViserServer, dataset: MultiViewDataset):
         self.server, self.dataset = server, dataset
         self.companions: list[Companion] = []
         self._columns: tuple[range, EpisodeColumns] | None = None
@@ -71,8 +63,7 @@ class DatasetView:
                 gui.add_html(legend(dataset.class_names, dataset.palette))
             if DEPTH not in dataset.absent:
                 gui.add_image(depth_scale(self.scene.depth_range), format="png")
-            names = {view: dataset.camera_names[view] for view in (views or range(len(dataset.camera_names)))}
-            self.cameras = CameraPanel(gui, names, draw or self._strip)
+            self.cameras = CameraPanel(gui, dict(enumerate(dataset.camera_names)), self._strip)
         self.columns: ColumnsPanel | None = None
         if columns := list(read_columns(dataset, range(1)).columns):
             with panel.add_tab("Episode", viser.Icon.CHART_LINE):

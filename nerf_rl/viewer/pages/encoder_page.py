@@ -100,7 +100,7 @@ def save_encoder(config: ViewConfig, dataset: MultiViewDataset, folder: Path) ->
     """Write the files asked for: each camera's truth, rendering and error."""
     from nerf_rl.datasets.storage.frames import Frame, read_frame
     from nerf_rl.viewer.drawing.charts import statistics_charts
-    from nerf_rl.viewer.drawing.slides import chosen_frames, dataset_slides
+    from nerf_rl.viewer.drawing.slides import dataset_slides, evenly_chosen
     from nerf_rl.viewer.drawing.statistics import sample_statistics
     from nerf_rl.viewer.field.latents import EncodedDataset
     from nerf_rl.viewer.field.reconstruction import comparison, render_views
@@ -110,14 +110,14 @@ def save_encoder(config: ViewConfig, dataset: MultiViewDataset, folder: Path) ->
     limits, far = encoded.depth_limits(read_frame(dataset, 0)), encoded.field.bounds.far
 
     def draw(frame: Frame, view: int):  # type: ignore[no-untyped-def]
-        rendered = render_views(encoded.folded(encoded.latent(frame)), frame, [view])
+        rendered = render_views(encoded.folded(encoded.latent(frame)), *frame.cameras([view]))
         assert rendered is not None  # nothing newer is ever wanted here
         return comparison(frame, view, rendered[0], dataset.palette, limits, far)
 
     save(
         config.files,
         f"{encoded.encoder.scene}: encoder",
-        dataset_slides(dataset, chosen_frames(dataset, config.frames), draw),
+        dataset_slides(dataset, evenly_chosen(len(dataset), config.frames), draw),
         None if LABELS in dataset.absent else (dataset.class_names, dataset.palette),
         lambda: statistics_charts(sample_statistics(dataset), dataset.palette),
     )

@@ -4,12 +4,13 @@ import html
 import threading
 from collections.abc import Callable
 
+import torch
 import viser
 from torch import Tensor
 
 from nerf_rl.datasets.storage.frames import Frame, read_frame
 from nerf_rl.viewer.field.field_panel import FieldPanel
-from nerf_rl.viewer.field.latents import EncodedDataset, Probe, interpolate
+from nerf_rl.viewer.field.latents import EncodedDataset, Probe
 from nerf_rl.viewer.field.reconstruction import comparison, render_views
 from nerf_rl.viewer.pages.dataset_view import DatasetView
 
@@ -55,7 +56,7 @@ class EncoderPanel:
         self.field.show(folded)
         self._show_probe()
         for view, name in enumerate(self._page.dataset.camera_names):
-            rendered = render_views(folded, frame, [view], stale)
+            rendered = render_views(folded, *frame.cameras([view]), stale)
             if rendered is None:
                 return
             limits, far = self._depth_range, self._encoded.field.bounds.far
@@ -80,7 +81,7 @@ class EncoderPanel:
 
     def _show_between(self) -> None:
         if len(self._ends) == 2:
-            latent = interpolate(self._ends["start"][1], self._ends["end"][1], self.share.value)
+            latent = torch.lerp(self._ends["start"][1], self._ends["end"][1], self.share.value)
             self.field.show(self._encoded.folded(latent))
 
     def _fit_probe(self) -> None:
@@ -104,11 +105,8 @@ def probe_table(read: dict[str, float], truth: dict[str, float]) -> str:
     rows = ""
     for name, value in read.items():
         if name in truth:
-            cells = (f"<td {style}>{number:.1f}</td>" for number in _millimetres(value, truth[name]))
+            metres = value, truth[name], value - truth[name]
+            cells = (f"<td {style}>{1000 * number:.1f}</td>" for number in metres)
             rows += f"<tr><td>{html.escape(name)}</td>{''.join(cells)}</tr>"
     head = "".join(f"<th {style}>{title}</th>" for title in ("probe", "true", "error"))
     return f"<table style='margin:.8em;font-size:.85em'><tr><th>[mm]</th>{head}</tr>{rows}</table>"
-
-
-def _millimetres(read: float, true: float) -> tuple[float, float, float]:
-    return 1000 * read, 1000 * true, 1000 * (read - true)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from nerf_rl import cli
-from nerf_rl.datasets.storage.blind_cameras import blind_cameras
+from nerf_rl.datasets.storage.blind_cameras import warn_of_blind_cameras
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.files.json_files import read_json
 
@@ -73,10 +73,10 @@ def test_imported_pictures_are_looked_at_too(words: list[str], tmp_path: Path, c
 def test_where_all_cameras_see_something_or_none_does_there_is_nothing_to_tell(
     words: list[str], tiny_dataset: Path, tmp_path: Path
 ):
-    assert blind_cameras(MultiViewDataset(tiny_dataset)) == {}
+    assert warn_of_blind_cameras(tiny_dataset) == {}
     astray = "[{name: astray, position: [-1.5, 0, 0.8], lookat: [-3, 0, 0]}]"
     assert cli.main([*words, "--out", str(tmp_path / "data"), "--rig.cameras", astray, "--rig.test", "[]"]) == 0
-    assert blind_cameras(MultiViewDataset(tmp_path / "data")) == {}
+    assert "blind_cameras" not in warn_of_blind_cameras(tmp_path / "data")
 
 
 def test_a_dataset_in_which_no_camera_sees_what_moves_is_warned_of(
@@ -95,6 +95,6 @@ def test_around_a_large_ground_what_moves_is_seen_all_the_same(words: list[str],
     scene.write_text(SCENE.replace('type="plane" size="3 3 0.1"', 'type="box" size="90 90 0.1" pos="0 0 -0.1"'))
     assert cli.main([*words, "--out", str(tmp_path / "data")]) == 0
     dataset = MultiViewDataset(tmp_path / "data")
-    assert blind_cameras(dataset) == BLIND
+    assert read_json(tmp_path / "data" / "summary.json")["blind_cameras"] == BLIND
     cart = dataset.read("semantic")[:, dataset.camera_names.index("open")] == dataset.class_names.index("robot")
     assert (cart.mean((1, 2)) > 0.005).all()

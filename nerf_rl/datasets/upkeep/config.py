@@ -1,8 +1,24 @@
-"""Which parts to put together."""
+"""What to check of a dataset, and which parts to put together."""
 
 from dataclasses import dataclass
 
+from nerf_rl.arguments.limits import Processes, check_values
 from nerf_rl.errors import UserError
+
+
+@dataclass
+class CheckConfig:
+    """Keys of ``nerf-rl check``."""
+
+    folder: str
+    """folder of the dataset"""
+    repair: bool = False
+    """render damaged and missing shards again, from the manifest's configuration"""
+    workers: Processes = 2
+    """render processes of a repair"""
+
+    def __post_init__(self) -> None:
+        check_values(self)
 
 
 @dataclass
