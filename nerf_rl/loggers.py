@@ -62,10 +62,11 @@ class TensorBoardFile:
 
     Args:
         folder: to write it to; it is made with the first values.
+        step: that the run goes on from; what its file tells of later ones is taken back.
     """
 
-    def __init__(self, folder: Path):
-        self._folder = folder
+    def __init__(self, folder: Path, step: int = 0):
+        self._folder, self._step = folder, step
         self._writer: SummaryWriter | None = None
 
     def log_metrics(self, metrics: Mapping[str, float], step: int) -> None:
@@ -73,7 +74,7 @@ class TensorBoardFile:
         if self._writer is None:
             from torch.utils.tensorboard import SummaryWriter  # it takes half a second to import
 
-            self._writer = SummaryWriter(self._folder)
+            self._writer = SummaryWriter(self._folder, purge_step=self._step + 1 if self._step else None)
         for name, value in metrics.items():
             self._writer.add_scalar(name, value, step)
 
@@ -88,31 +89,22 @@ class TensorBoardFile:
             self._writer.close()
 
 
-def make_loggers(names: Sequence[str], run: Path) -> list[CurveLogger]:
+def make_loggers(names: Sequence[str], run: Path, step: int = 0) -> list[CurveLogger]:
     """Return loggers of an agent's training, which write below its run's folder.
 
     Args:
         names: ``tensorboard``, ``wandb`` or ``mlflow`` (extras of the same names), or ``module:Class`` of a Lightning
             logger that is made from the run's folder.
         run: the folder.
+        step: that the run goes on from.
 
     Raises:
         UserError: a logger of the user's own cannot be made.
     """
-    return [TensorBoardFile(run / LOGS) if name == TENSORBOARD else _make(name, run, LOGS) for name in names]
-
-
-def make_lightning_loggers(names: Sequence[str], run: Path, version: str = LOGS) -> "list[Logger]":
-    """Return loggers for Lightning's trainer, which write below a run's folder.
-
-    Args:
-        names, run: as above.
-        version: TensorBoard's folder in it.
-
-    Raises:
-        UserError: a logger of the user's own cannot be made.
-    """
-    return [_make(name, run, version) for name in names]
+    return [
+        TensorBoardFile(run / LOGS, step) if name == TENSORBOARD else make_lightning_logger(name, run, LOGS)
+        for name in names
+    ]
 
 
 @contextlib.contextmanager
@@ -145,7 +137,12 @@ def _is_of_wandb(logger: Any) -> bool:
     return isinstance(logger, WandbLogger)
 
 
-def _make(name: str, run: Path, version: str) -> Any:
+def make_lightning_logger(name: str, run: Path, version: str) -> Any:
+    """Return a logger for Lightning's trainer, which writes below a run's folder; TensorBoard's into ``version``.
+
+    Raises:
+        UserError: a logger of the user's own cannot be made.
+    """
     from lightning.pytorch.loggers import MLFlowLogger, TensorBoardLogger, WandbLogger  # they take seconds to import
 
     if name == TENSORBOARD:

@@ -19,8 +19,10 @@ class StructureError(ValueError):
     """A value that is not what belongs in its place."""
 
     def __init__(self, place: str, value: Any, expected: str):
-        kinds: dict[type, str] = {dict: "a mapping", list: "a list"}
-        shown = kinds.get(type(value)) or repr(value)[: _SHOWN + 1]
+        if isinstance(value, dict | list):
+            shown = "a mapping" if isinstance(value, dict) else f"a list of {len(value)}"
+        else:
+            shown = repr(value)[: _SHOWN + 1]
         shown = shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}..."
         super().__init__(f"{place or 'the whole'} is {shown} instead of {expected}")
 

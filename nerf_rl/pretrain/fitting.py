@@ -17,7 +17,7 @@ from lightning.pytorch.loggers import CSVLogger
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.files.json_files import write_json
 from nerf_rl.files.outputs import SUMMARY
-from nerf_rl.loggers import closed_at_end, make_lightning_loggers
+from nerf_rl.loggers import closed_at_end, make_lightning_logger
 from nerf_rl.pretrain.config import FIELD, RANDOM, PretrainConfig
 from nerf_rl.pretrain.data.batches import drawn_frames
 from nerf_rl.pretrain.data.data_module import NO_FRAME, MultiViewDataModule
@@ -88,7 +88,7 @@ def fit(config: PretrainConfig, dataset: MultiViewDataset, folder: Path, checkpo
     warnings.filterwarnings("ignore", module="lightning.pytorch.*")
     lightning.seed_everything(config.seed, verbose=False)
     logs = "logs" if checkpoint is None else f"logs/resumed_{int(time.time())}"  # a logger empties its folder
-    loggers = make_lightning_loggers(config.loggers, folder, logs)
+    loggers = [make_lightning_logger(name, folder, logs) for name in config.loggers]
     trainer = lightning.Trainer(
         default_root_dir=folder,
         accelerator=accelerator,

@@ -7,6 +7,7 @@ from pathlib import Path
 from nerf_rl.arguments.stored_keys import require_same_keys
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.shards import SPLIT_NAMES
+from nerf_rl.datasets.storage.stored_manifest import IMPORTED_FROM
 from nerf_rl.errors import UserError
 from nerf_rl.files.json_files import write_json
 from nerf_rl.files.outputs import SUMMARY, check_output, prepare_output, require_outside, write_provenance
@@ -33,9 +34,12 @@ def pretrain(config: PretrainConfig) -> None:
     dataset = MultiViewDataset(config.data)
     kept, held = (len(dataset.split(name)) for name in SPLIT_NAMES)
     if min(kept, held) < 2:  # probes need two
+        more = (
+            "import more moments, or" if IMPORTED_FROM in dataset.manifest["config"] else "generate more episodes, or"
+        )
         raise UserError(
             f"{config.data} needs training and validation frames, two of each at least, and has {kept} and {held}; "
-            "generate more episodes"
+            f"{more} hold out another share of them (--validation_fraction)"
         )
     rig = EncoderRig.of_dataset(dataset)
     config.encoder.cells(min(rig.height, rig.width))

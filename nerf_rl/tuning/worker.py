@@ -14,7 +14,7 @@ import optuna
 from optuna.exceptions import UpdateFinishedTrialError
 from optuna.trial import FrozenTrial, Trial, TrialState
 
-from nerf_rl.machine.processes import end_with_parent
+from nerf_rl.machine.processes import end_with_parent, tidy_up_alone
 from nerf_rl.tuning.heartbeat import Heart, LostTrials
 from nerf_rl.tuning.search import Search
 from nerf_rl.tuning.storage import open_storage
@@ -59,6 +59,7 @@ def work(task: Task, number: int) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the supervisor's to handle
     end_with_parent()
+    tidy_up_alone()
     _write_to(log_of(task.out, number))
     os.environ["OMP_NUM_THREADS"] = "1"
     optuna.logging.set_verbosity(optuna.logging.WARNING)

@@ -106,7 +106,7 @@ def test_names_that_look_like_paths_stay_and_paths_do_not(run: Path, tmp_path: P
         ("summary.json", {"class_iou": {"a": 1}, "class_share": {"a": None}}, "class_share.a is None"),
         ("summary.json", {"probe": {"x": {}}}, "probe.x is a mapping instead of one with r2"),
         ("summary.json", {"joint_probe": {"x": {"r2": 1.0, "rmse_deg": "y"}}}, "joint_probe.x.rmse_deg is 'y'"),
-        ("summary.json", {"probe_random_encoder": []}, "probe_random_encoder is a list instead of a mapping"),
+        ("summary.json", {"probe_random_encoder": []}, "probe_random_encoder is a list of 0 instead of a mapping"),
     ],
 )
 def test_descriptions_that_no_card_can_tell_of_are_refused_in_a_sentence(

@@ -248,6 +248,16 @@ def test_a_dataset_that_does_not_suit_is_refused_and_nothing_is_written(
     said = capsys.readouterr().err
     assert "needs training and validation frames, two of each at least, and has 12 and 0; generate more" in said
     assert not list(tmp_path.iterdir())
+    dataset = Path(shutil.copytree(tiny_dataset, tmp_path / "imported"))
+    read = MultiViewDataset.__init__
+
+    def imported(self: MultiViewDataset, folder: Path | str) -> None:
+        read(self, folder)
+        self.manifest["config"]["imported_from"] = "nerfstudio"
+
+    monkeypatch.setattr(MultiViewDataset, "__init__", imported)
+    assert pretrain(tiny_pretraining_recipe, dataset, tmp_path / "run") == 2
+    assert "and has 12 and 0; import more moments, or hold out another share of them" in capsys.readouterr().err
 
 
 def test_an_existing_run_is_refused_and_left_alone(

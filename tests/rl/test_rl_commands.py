@@ -39,6 +39,21 @@ def run(tiny_encoder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+def test_a_run_that_had_ended_and_goes_on_is_told_of_by_no_older_summary(
+    run: Path, tiny_encoder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = Path(shutil.copytree(run, tmp_path / "agent"))
+    words = ["train-rl", "--encoder", str(tiny_encoder), "--out", str(out), *SHORT]
+    words += ["--env_steps", "240", "--resume", "true"]
+    with monkeypatch.context() as killed:
+        killed.setattr(Trainer, "save", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
+        assert cli.main(words) == 130
+    assert Policy.load(out).env_steps > 120 and not (out / "summary.json").exists()
+    assert cli.main(words) == 0
+    evaluations = json.loads((out / "summary.json").read_text())["evaluations"]
+    assert [evaluation["env_steps"] for evaluation in evaluations] == [80, 120, 160, 240]
+
+
 def test_training_leaves_what_it_promises(run: Path) -> None:
     names = {path.name for path in run.iterdir()}
     assert names == {

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from nerf_rl.datasets.storage.finished_shards import FinishedShard, finished_shard
-from nerf_rl.datasets.storage.plan import PLAN, Plan, begun_plan
+from nerf_rl.datasets.storage.plan import PLAN, Plan, begun_plan, different_keys
 from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS, partial_files, shard_file, shard_path
 from nerf_rl.errors import UserError
 from nerf_rl.files.checksummed_json import is_whole
@@ -54,8 +54,9 @@ class DatasetRecord:
         self.manifest = self.folder / MANIFEST
         self.frames, self.shards = frames, list(frames)
         self._command, self._config = command, config
-        begun = begun_plan([*([self.folder / PLAN] if config.resume else []), *plans], plan)
-        self._is_other, self.plan = begun is None, begun or plan
+        written = [*([self.folder / PLAN] if config.resume else []), *plans]
+        begun = begun_plan(written, plan)
+        self._other, self.plan = different_keys(written, plan) if begun is None else None, begun or plan
 
     def check(self) -> None:
         """Refuse a folder in use, unless an interrupted run with the same plan is to go on, before anything slow.
@@ -64,8 +65,9 @@ class DatasetRecord:
             UserError: a folder in use, or one begun with another configuration.
         """
         check_output(self.folder, self._config.overwrite, self._config.resume, self._begun())
-        if self._is_other:
-            raise UserError(f"{self.dataset} was begun with {self._another}; use the same one, or --overwrite true")
+        if self._other is not None:
+            what = f"{self._another} ({', '.join(self._other)} differ)" if self._other else self._another
+            raise UserError(f"{self.dataset} was begun with {what}; use the same one, or --overwrite true")
 
     def finished_shards(self, scene: Mapping[str, Any]) -> dict[int, FinishedShard]:
         """Return the shards that an interrupted run left whole, by number; none unless it is to be resumed.

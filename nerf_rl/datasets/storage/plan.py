@@ -57,6 +57,16 @@ def same_content(first: Any, second: Any) -> bool:
     return plans[0] == plans[1]
 
 
+def different_keys(paths: Iterable[Path], plan: Plan) -> list[str]:
+    """Return the names of what plans that were written down have otherwise than today's."""
+    today, found = with_defaults(plan, GenDatasetConfig), set()
+    for path in paths:
+        stored = with_defaults(_read(path), GenDatasetConfig) if path.is_file() else today
+        if isinstance(stored, Mapping):
+            found |= {key for key in stored.keys() | today.keys() if stored.get(key) != today.get(key)}
+    return sorted(found)
+
+
 def begun_plan(paths: Iterable[Path], plan: Plan) -> Plan | None:
     """Return the plan that a dataset was begun with.
 

@@ -55,7 +55,8 @@ class MultiViewDataset:
                 raise MissingFileError("a whole dataset", self.folder, reason, remedy)
         self._first = np.cumsum([0, *(shard["frames"] for shard in self.manifest["shards"])])
         self._arrays: dict[int, Mapping[str, ArrayLocation]] = {}
-        self._open = lru_cache(_MOST_OPEN_FILES)(_open_unbuffered)
+        # a file closes itself when the last of its users, perhaps in another thread, has let go of it
+        self._open = lru_cache(_MOST_OPEN_FILES)(FileIO)
 
     def __len__(self) -> int:
         return int(self._first[-1])
@@ -146,11 +147,16 @@ class MultiViewDataset:
         Raises:
             UnknownNameError: the dataset has no such array.
             ShardError: a shard is damaged, cut off or laid out otherwise than shards are.
-            IndexError: a frame index is negative or beyond the last frame, or there is none.
+            IndexError: a frame index is negative or beyond the last frame, or there is none; or what is given are no
+                indices, such as a mask.
         """
-        indices = np.arange(len(self)) if frames is None else np.asarray(frames, dtype=np.int64)
-        if len(indices) == 0 or indices.min() < 0 or indices.max() >= len(self):
+        indices = np.arange(len(self)) if frames is None else np.asarray(frames)
+        if indices.size and (indices.ndim != 1 or indices.dtype.kind not in "iu"):  # NumPy would make numbers of a mask
+            got = f"{indices.dtype} of shape {[*indices.shape]}; np.flatnonzero gives the indices of a mask"
+            raise IndexError(f"frames must be a list of whole numbers from 0 to {len(self) - 1}, got {got}")
+        if indices.size == 0 or indices.min() < 0 or indices.max() >= len(self):
             raise IndexError(f"frames must be some of 0 to {len(self) - 1}")
+        indices = indices.astype(np.int64)
         shard_of = np.searchsorted(self._first, indices, side="right") - 1
         like = self._location(int(shard_of[0]), name)
         size = int(np.prod(like.shape)) * like.dtype.itemsize
@@ -267,12 +273,7 @@ class MultiViewDataset:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._open = lru_cache(_MOST_OPEN_FILES)(_open_unbuffered)
-
-
-def _open_unbuffered(path: Path) -> FileIO:
-    """Open a file that closes itself when the last of its users, perhaps in another thread, has let go of it."""
-    return FileIO(path)
+        self._open = lru_cache(_MOST_OPEN_FILES)(FileIO)
 
 
 def _read_rows(file: FileIO, offset: int, location: ArrayLocation, count: int) -> ndarray:

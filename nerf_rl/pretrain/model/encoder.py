@@ -5,6 +5,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from numpy import ndarray
@@ -124,12 +125,15 @@ class Encoder(nn.Module):
         Raises:
             UserError: they are of another size or kind, or not one of each camera.
         """
-        rig, pictures = self.rig, torch.as_tensor(images)
+        pictures = torch.as_tensor(np.array(images) if isinstance(images, ndarray) else images)  # whatever its strides
+        rig = self.rig
         seen, shape = tuple(map(int, pictures.shape)), (len(rig.names), rig.height, rig.width, 3)
         if seen[1:] != shape or pictures.dtype != torch.uint8:
             kind = str(pictures.dtype).removeprefix("torch.")
             told = f"{len(rig.names)} cameras, {rig.height} pixels high and {rig.width} wide"
             raise UserError(f"the encoder takes uint8 [B, {', '.join(map(str, shape))}] ({told}), got {kind} {[*seen]}")
+        if not seen[0]:
+            raise UserError("the encoder takes pictures of one moment at least, got those of none")
         device = self.latent_mean.device
         projections = torch.from_numpy(self.rig.projections).to(device)
         return self(pictures.to(device), projections.expand(len(pictures), -1, -1, -1))

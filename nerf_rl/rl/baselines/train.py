@@ -108,9 +108,10 @@ class BaselineTrainer(BaseCallback):
         for env in np.flatnonzero(dones).tolist():
             self._count_episode(env)
         self._progress.advance(self.env_steps - before)
-        if self.env_steps - self._last_log >= config.log_every or self.finished:
+        is_due = self.finished or self.env_steps // config.evaluation_every > before // config.evaluation_every
+        if self.env_steps - self._last_log >= config.log_every or is_due:
             self._log()
-        if self.finished or self.env_steps // config.evaluation_every > before // config.evaluation_every:
+        if is_due:
             self._evaluate()
         return not self.finished
 

@@ -26,18 +26,22 @@ def summarise(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
         **({DEMONSTRATIONS: shown} if shown else {}),
         "final": describe_scores(last) if last else None,
         "good_seeds": _good(last) if told else None,
-        "curve": [{"env_steps": due, **describe_scores(scores)} for due, scores in _by_step(runs, score)],
+        "curve": [{"env_steps": due, **describe_scores(scores)} for due, scores in _by_step(runs, score, len(last))],
         "runs": runs,
     }
 
 
-def _by_step(runs: Sequence[dict[str, Any]], score: str) -> list[tuple[int, list[float]]]:
-    """Return the scores of all runs at each number of environment steps at which some were evaluated."""
+def _by_step(runs: Sequence[dict[str, Any]], score: str, seeds: int) -> list[tuple[int, list[float]]]:
+    """Return the scores of all runs at each number of environment steps at which all of them were evaluated.
+
+    Runs that end after so many episodes do so at different steps, and a mean of other seeds at each of these would
+    rise and fall where none of them did.
+    """
     scores: dict[int, list[float]] = {}
     for run in runs:
         for due, evaluation in {evaluation[DUE]: evaluation for evaluation in run["evaluations"]}.items():
             scores.setdefault(due, []).append(evaluation[score])
-    return sorted(scores.items())
+    return sorted((due, found) for due, found in scores.items() if len(found) == seeds)
 
 
 def _good(last: Sequence[float]) -> dict[str, Any]:

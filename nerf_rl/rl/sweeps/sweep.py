@@ -46,6 +46,8 @@ def train_seeds(train: Train, config: TrainRLConfig) -> dict[str, Any]:
     left = [seed for seed in seeds if seed not in finished]
     kept = f", {len(finished)} of them finished" if finished else ""
     print(f"train-rl writes {len(seeds)} seeds to {out}{kept}", flush=True)
+    if (out / SUMMARY).is_file():  # of fewer steps or seeds, perhaps
+        _write(out, config, finished)
     failed: dict[int, str] = {}
     with (
         SweepProgress(config, seeds, finished) as progress,
@@ -119,6 +121,8 @@ def _write(out: Path, config: TrainRLConfig, finished: Iterable[int]) -> dict[st
     summary = {"seeds": config.seeds, "unfinished": unfinished, **summary}
     if summary["runs"]:
         draw_sweep(out / FIGURE, summary, config.scene)
+    else:
+        (out / FIGURE).unlink(missing_ok=True)
     write_json(out / SUMMARY, summary)
     return summary
 

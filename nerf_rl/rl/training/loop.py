@@ -97,7 +97,9 @@ class Trainer:
         self._encoder_digest = None if config.encoder == NO_ENCODER else encoder_digest(config.encoder)
         if self._checkpoint is not None:
             self._load(self._checkpoint)
-        self.metrics = MetricsLog(run / "metrics.csv", self.env_steps, make_loggers(config.loggers, run))
+        self.metrics = MetricsLog(
+            run / "metrics.csv", self.env_steps, make_loggers(config.loggers, run, self.env_steps)
+        )
         self._zoo = ZooFiles(run, config.scene, self.env_steps)
 
     @property

@@ -45,7 +45,7 @@ def test_two_nodes_of_a_ray_cluster_write_the_same_bytes_though_a_worker_is_kill
     pytest.importorskip("ray", reason="the extra 'ray' is not installed")
     arguments = ["--config", str(tiny_recipe), "--out", str(tmp_path / "data")]
     finished = subprocess.run(
-        [sys.executable, "-c", ON_A_CLUSTER, *arguments], capture_output=True, text=True, timeout=240
+        [sys.executable, "-c", ON_A_CLUSTER, *arguments], capture_output=True, text=True, timeout=900
     )
     assert "exit code 0 with 2 nodes" in finished.stdout, finished.stderr
     assert "killed a worker" in finished.stdout and "will be rendered anew" in finished.stdout

@@ -125,7 +125,7 @@ FAULTS = [
     (link("camera_0.png"), "it names images/camera_0.png"),
     (raw(b"{"), "moment_1/transforms.json cannot be imported"),
     (raw(b"[" * 100_000), "nested too deeply"),
-    (raw(b'{"frames": []}'), "frames is a list instead of a list of 1 to 256"),
+    (raw(b'{"frames": []}'), "frames is a list of 0 instead of a list of 1 to 256"),
     (raw(b'{"frames": [{"file_path": "a", "transform_matrix": [[NaN]]}]}'), "NaN"),
     (edit(lambda content: content.pop("fl_x")), "it gives no fl_x, of images/camera_0.png"),
     (edit(lambda content: content.update(w=1e9)), "w is 1000000000.0 instead of a whole number"),
@@ -149,7 +149,7 @@ FAULTS = [
     (pose(lambda m: m[:3, :3].__imul__(1.1)), "is not rigid"),
     (pose(lambda m: m[:, 0].__imul__(-1.0)), "is not rigid"),
     (pose(lambda m: m[0].__setitem__(3, 1e9)), "farther than 1e+06 m"),
-    (first(transform_matrix=[[1, 0, 0]] * 3), "transform_matrix is a list instead of a list of 4"),
+    (first(transform_matrix=[[1, 0, 0]] * 3), "transform_matrix is a list of 3 instead of a list of 4"),
     (first(transform_matrix=[[1e400] * 4] * 4), "Infinity"),
     (picture("images", b"no picture"), "it is neither a PNG nor a JPEG file"),
     (picture("images", np.zeros((8, 8, 3), np.uint8)), "it is 8 x 8 pixels large instead of 12 x 12"),
@@ -185,11 +185,14 @@ def test_a_source_may_say_that_it_is_of_pinhole_cameras(source: Path, tmp_path: 
     assert cli.main(["import", str(source), "--out", str(tmp_path / "out")]) == 0
 
 
-def test_a_scene_that_is_a_link_to_elsewhere_is_not_read(source: Path, tmp_path: Path):
+def test_a_scene_that_is_a_link_to_elsewhere_is_not_read_and_not_left_out_without_a_word(
+    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     shutil.move(source / "moment_1", tmp_path / "elsewhere")
     os.symlink(tmp_path / "elsewhere", source / "moment_1")
-    assert cli.main(["import", str(source), "--out", str(tmp_path / "out")]) == 0
-    assert json.loads((tmp_path / "out" / "manifest.json").read_text())["frames"] == 1
+    assert cli.main(["import", str(source), "--out", str(tmp_path / "out")]) == 2
+    assert "moment_1 cannot be imported: it is a link that leads out of" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(

@@ -118,7 +118,7 @@ EDITS = [
     (edit(lambda m: m["classes"][0].update(colour=[0, 0, 256])), "classes.0.colour.2 is 256 instead of"),
     (edit(lambda m: m["columns"].pop("action")), "columns is a mapping instead of one with action, which is missing"),
     (edit(lambda m: m.update(height=10**9)), "height is 1000000000 instead of a whole number from 1 to 16384"),
-    (lambda m: [m], "the whole is a list instead of a mapping"),
+    (lambda m: [m], "the whole is a list of 1 instead of a mapping"),
 ]
 
 

@@ -1,11 +1,13 @@
 """Reading shards: the same rows as h5py's, in any order, from any process."""
 
 import gc
+import inspect
 import json
 import os
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -214,6 +216,13 @@ def test_an_unknown_array_is_answered_with_the_names(folder: Path):
 def test_frames_that_there_are_not_are_an_error(folder: Path, frames: list[int]):
     with pytest.raises(IndexError, match="some of 0 to 8"):
         MultiViewDataset(folder).read("rgb", frames)
+
+
+@pytest.mark.parametrize("frames", [np.arange(9) > 5, [2.9], ["1"], np.array(1), [[0, 1]]])
+def test_what_are_no_indices_of_frames_is_not_taken_for_some(folder: Path, frames: Any):
+    read = inspect.unwrap(MultiViewDataset.read)  # as it is outside of tests, where nothing checks annotations
+    with pytest.raises(IndexError, match=r"frames must be a list of whole numbers from 0 to 8, got .*flatnonzero"):
+        read(MultiViewDataset(folder), "episode", frames)
 
 
 def test_a_missing_shard_is_named(folder: Path):

@@ -5,6 +5,7 @@ import json
 import shutil
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -70,6 +71,23 @@ def test_images_that_are_not_what_the_cameras_see_are_refused(change: Callable, 
         encode(make_encoder(), change(inputs()[0]))
     told = "the encoder takes uint8 [B, 3, 16, 16, 3] (3 cameras, 16 pixels high and 16 wide), got"
     assert str(refused.value) == f"{told} {got}"
+
+
+def test_images_are_read_whatever_their_strides_and_whoever_may_write_to_them():
+    encoder, images = make_encoder(), inputs()[0].numpy()
+    mirrored = np.ascontiguousarray(images[..., ::-1])
+    expected = encoder.encode(mirrored)
+    mirrored.flags.writeable = False
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for same in (images[..., ::-1], mirrored):
+            assert torch.equal(encoder.encode(same), expected)
+    assert not torch.equal(encoder.encode(images), expected)
+
+
+def test_pictures_of_no_moment_are_refused():
+    with pytest.raises(UserError, match="pictures of one moment at least"):
+        make_encoder().encode(inputs()[0][:0])
 
 
 def test_it_matters_which_camera_an_image_came_from():

@@ -174,7 +174,7 @@ def test_a_description_of_old_without_a_format_is_told_apart(run: Path, name: st
         (("architecture", "wings"), 2, "architecture.wings is 2 instead of nothing: known are latent"),
         (("architecture", "patch"), 100, "its description makes no network"),
         (("rig", "height"), "24", "rig.height is '24' instead of a whole number"),
-        (("rig", "intrinsics"), [[1, 2], [3]], "rig.intrinsics.0 is a list instead of a list of 3"),
+        (("rig", "intrinsics"), [[1, 2], [3]], "rig.intrinsics.0 is a list of 2 instead of a list of 3"),
         (("rig", "names"), ["left"], "its cameras have different numbers of names, intrinsics and poses"),
         (("scene", "quality"), "best", "scene.quality is 'best' instead of one of fast, smooth, full"),
     ],

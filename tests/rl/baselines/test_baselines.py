@@ -43,7 +43,7 @@ def test_a_baseline_leaves_what_our_own_agent_leaves(algo: str, tmp_path: Path) 
     assert summary["episodes"] == 12 and summary["updates"] > 0
     with open(out / "metrics.csv", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [row["env_steps"] for row in rows] == ["80", "160", "240"]
+    assert [row["env_steps"] for row in rows] == ["80", "120", "200", "240"]  # and where it is evaluated
     assert float(rows[-1]["episode_length"]) == 20 and float(rows[-1]["critic_loss"]) > 0
     assert not [path for path in out.rglob("*") if path.suffix in (".zip", ".pkl", ".pt", ".pth")]
     assert cli.main(["evaluate", "--run", str(out), "--out", str(tmp_path / "evaluation"), "--episodes", "2"]) == 0

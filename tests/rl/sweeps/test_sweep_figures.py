@@ -118,6 +118,17 @@ def test_seeds_are_summed_up_at_the_steps_at_which_their_evaluations_were_due():
     assert "2 of 3 at 95% or more" in describe_summary(summary)
 
 
+def test_seeds_that_end_at_steps_of_their_own_have_a_curve_where_all_were_evaluated():
+    runs = [run_of(seed, [rate] * 3) for seed, rate in enumerate((0.2, 0.2, 0.2, 1.0))]
+    for run, end in zip(runs, (2502, 2550, 2600, 2600), strict=True):  # as by --episodes
+        run["evaluations"][-1]["due"] = end
+    summary = summarise(runs)
+    assert [(point["env_steps"], point["seeds"]) for point in summary["curve"]] == [(1000, 4), (2000, 4)]
+    assert {point["iqm"] for point in summary["curve"]} == {0.2} and summary["final"]["seeds"] == 4
+    heads, rows = seeds_table(summary)
+    assert heads[:4] == ["seed", "1,000", "2,000", "final, 95 % interval"] and rows[3][1:3] == ["100%", "100%"]
+
+
 def test_where_nothing_tells_of_success_returns_are_summed_up():
     runs = [run_of(seed, [0.0, 0.0]) for seed in (0, 1)]
     for run in runs:

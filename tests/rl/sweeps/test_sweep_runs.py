@@ -201,6 +201,21 @@ def test_a_longer_run_knows_when_its_evaluation_at_the_earlier_end_was_due(tmp_p
     assert evaluations[1]["env_steps"] > 311  # both environments step at once
 
 
+def test_a_sweep_that_is_made_longer_says_from_then_on_what_is_unfinished(
+    undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def interrupted(*arguments):  # before a seed has ended
+        raise KeyboardInterrupt
+        yield
+
+    out = shutil.copytree(undisturbed, tmp_path / "sweep")
+    monkeypatch.setattr("nerf_rl.rl.sweeps.sweep.train_seeds_apart", interrupted)
+    assert cli.main(["train-rl", *SWEEP, "--out", str(out), "--env_steps", "1200", "--resume", "true"]) == 130
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["unfinished"] == [0, 1] and not summary["runs"] and summary["final"] is None
+    assert not (out / "learning_curves.png").exists()
+
+
 def test_a_single_run_does_not_become_a_sweep(undisturbed: Path, capsys: pytest.CaptureFixture[str]):
     out = str(undisturbed / "seed-0")
     assert cli.main(["train-rl", *TINY, "--out", out, "--seeds", "0..1", "--resume", "true"]) == 2

@@ -1,5 +1,6 @@
 """The training loop on the tiny environment: it learns, is repeatable, and resumes exactly."""
 
+import csv
 import itertools
 import shutil
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.vector import AsyncVectorEnv
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tiny_environment import point_envs
 from tiny_run import config, train
 
@@ -141,6 +143,13 @@ def test_a_resumed_run_ends_bit_for_bit_like_an_uninterrupted_one(envs: AsyncVec
     assert all(torch.equal(found[name], wanted[name]) for name in wanted)
     assert resumed.agent.updates == uninterrupted.agent.updates
     assert resumed.episodes == uninterrupted.episodes
+    for trainer in (uninterrupted, resumed):
+        for logger in trainer.metrics.loggers:
+            logger.finalize("success")
+    with open(run / "metrics.csv", newline="") as file:
+        rows = [int(row["env_steps"]) for row in csv.DictReader(file)]
+    curve = EventAccumulator(str(run / "logs")).Reload().Scalars("train/q")
+    assert [point.step for point in curve] == rows == sorted(set(rows)), "each step is there once"
 
 
 def test_only_the_newest_complete_checkpoint_is_kept(envs: AsyncVectorEnv, tmp_path: Path) -> None:

@@ -19,13 +19,16 @@ from nerf_rl.datasets.storage.stored_manifest import DEPTH, LABELS, STATE
 def scene_folders(folder: Path) -> list[Path]:
     """Return the scenes in a folder, by name, or the folder itself if it is one; none if there are none.
 
-    A scene that is a link to somewhere else is none.
+    Raises:
+        SourceError: one of them lies outside the folder, be it by a link.
     """
     if (folder / TRANSFORMS).is_file():
         return [folder]
-    inside = folder.resolve()
-    found = [path.parent for path in folder.glob(f"*/{TRANSFORMS}") if path.resolve().is_relative_to(inside)]
-    return sorted(found)
+    found = sorted(path.parent for path in folder.glob(f"*/{TRANSFORMS}"))
+    for scene in found:
+        if not (scene / TRANSFORMS).resolve().is_relative_to(folder.resolve()):
+            raise SourceError(scene, f"it is a link that leads out of {folder} (cp -rL makes a copy)")
+    return found
 
 
 class ScenesSource(Source):
