@@ -66,7 +66,7 @@ class DatasetRecord:
         """
         check_output(self.folder, self._config.overwrite, self._config.resume, self._begun())
         if self._other is not None:
-            what = f"{self._another} ({', '.join(self._other)} differ)" if self._other else self._another
+            what = f"{self._another} (what differs: {', '.join(self._other)})" if self._other else self._another
             raise UserError(f"{self.dataset} was begun with {what}; use the same one, or --overwrite true")
 
     def finished_shards(self, scene: Mapping[str, Any]) -> dict[int, FinishedShard]:

@@ -69,9 +69,8 @@ class RunRecord:
 
         policy = Policy(actor, self._spec, network, *self._sizes, self._proprio_names, self._digest, state.env_steps)
         policy.demonstrations, policy.to_end = self._config.demonstrations, self._config.evaluation_to_end
-        (self._run / SUMMARY).unlink(
-            missing_ok=True
-        )  # of a run that had ended and goes on, which tells of another policy
+        # a run that had ended and goes on has one, which tells of another policy
+        (self._run / SUMMARY).unlink(missing_ok=True)
         policy.save(self._run)
         draw_learning_curve(self._run / CURVE, state.evaluations, self._config.scene)
         if self._on_evaluation is not None:

@@ -81,7 +81,7 @@ def test_resuming_with_another_configuration_is_refused(
 ):
     before = content_of(tiny_dataset)
     assert generate(tiny_recipe, tiny_dataset, "--resume", "true", "--seed", "4") == 2
-    assert "was begun with another configuration (seed differ); " in capsys.readouterr().err
+    assert "was begun with another configuration (what differs: seed); " in capsys.readouterr().err
     assert content_of(tiny_dataset) == before
 
 
