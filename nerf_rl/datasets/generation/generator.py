@@ -11,10 +11,8 @@ from nerf_rl.datasets.generation.shard_episodes import open_render_context
 from nerf_rl.datasets.generation.unfinished import OutputRecord
 from nerf_rl.datasets.generation.workers import begin_workers, render_shards
 from nerf_rl.datasets.storage.blind_cameras import warn_of_blind_cameras
-from nerf_rl.datasets.storage.disk import bytes_needed, explain_full_disk, require_space
+from nerf_rl.datasets.storage.disk import explain_full_disk, require_space
 from nerf_rl.datasets.storage.finished_shards import FinishedShard, shard_entry, with_shards
-from nerf_rl.datasets.storage.shards import UNFINISHED
-from nerf_rl.files.checksummed_json import write_checksummed
 from nerf_rl.files.json_files import write_json
 from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.machine.gl import warn_of_software_rendering
@@ -45,27 +43,19 @@ def generate_dataset(config: GenDatasetConfig) -> None:
     warn_of_unnamed_travellers(config.rig, context.scene)
     total = sum(record.frames.values())
     done = record.finished_shards(description["scene"])
-    if len(done) == len(record.frames) and record.is_complete():
-        print(f"{record.dataset}: nothing to do, all {len(done)} shards are there")
+    if record.is_complete(done):
         return
-
-    def bytes_missing() -> int:
-        missing = [frames for shard, frames in record.frames.items() if shard not in done]
-        return bytes_needed(context.layout, sum(missing), len(missing))
-
     if not config.overwrite:
-        require_space(record.dataset, bytes_missing())
-    with explain_full_disk(record.dataset, bytes_missing):
-        record.prepare(done)
-        write_checksummed(record.folder / UNFINISHED, description)
+        require_space(record.dataset, record.bytes_missing(done, context.layout))
+    with explain_full_disk(record.dataset, lambda: record.bytes_missing(done, context.layout)):
+        record.begin(done, description)
         print(f"writing {total} frames x {len(context.rig.names)} views to {record.dataset}")
         kept = sum(shard.frames for shard in done.values())
         _render(config, record, done, total)
         seconds = time.monotonic() - started
         entries = [shard_entry(shard) for shard in done.values()]
         manifest = with_shards(description, entries, (shard.renderer for shard in done.values()))
-        write_checksummed(record.manifest, manifest)
-        (record.folder / UNFINISHED).unlink()
+        record.end(manifest)
         views_per_second = (total - kept) * len(context.rig.names) / seconds
         summary = {
             "frames": total,

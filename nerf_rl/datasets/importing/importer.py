@@ -10,11 +10,10 @@ from nerf_rl.datasets.importing.content import Content, decide_content
 from nerf_rl.datasets.importing.frame_rows import episode_rows
 from nerf_rl.datasets.importing.open_source import open_source
 from nerf_rl.datasets.storage.blind_cameras import warn_of_blind_cameras
-from nerf_rl.datasets.storage.disk import bytes_needed, explain_full_disk, require_space
+from nerf_rl.datasets.storage.disk import explain_full_disk, require_space
 from nerf_rl.datasets.storage.finished_shards import FinishedShard, shard_attributes, shard_entry, with_shards
 from nerf_rl.datasets.storage.output_record import DatasetRecord
-from nerf_rl.datasets.storage.shards import UNFINISHED, ShardWriter, sha256_of, shard_path
-from nerf_rl.files.checksummed_json import write_checksummed
+from nerf_rl.datasets.storage.shards import ShardWriter, sha256_of, shard_path
 from nerf_rl.files.json_files import write_json
 from nerf_rl.files.outputs import SUMMARY, require_outside
 from nerf_rl.machine.memory import peak_rss_mb
@@ -35,22 +34,15 @@ def import_dataset(config: ImportConfig) -> None:
     content = decide_content(open_source(config), config)
     record = DatasetRecord(Path(config.out), "import", config, content.plan, content.shard_frames())
     record.check()
-    done = record.finished_shards(content.scene)
-    if len(done) == len(record.frames) and record.is_complete():
-        print(f"{record.dataset}: nothing to do, all {len(done)} shards are there")
+    done, layout = record.finished_shards(content.scene), content.layout()
+    if record.is_complete(done):
         return
-
-    def bytes_missing() -> int:
-        missing = [frames for shard, frames in record.frames.items() if shard not in done]
-        return bytes_needed(content.layout(), sum(missing), len(missing))
-
     if not config.overwrite:
-        require_space(record.dataset, bytes_missing(), "a larger --shrink")
+        require_space(record.dataset, record.bytes_missing(done, layout), "a larger --shrink")
     total, views = sum(record.frames.values()), len(content.roles)
-    with explain_full_disk(record.dataset, bytes_missing):
-        record.prepare(done)
+    with explain_full_disk(record.dataset, lambda: record.bytes_missing(done, layout)):
         description = content.describe()
-        write_checksummed(record.folder / UNFINISHED, description)
+        record.begin(done, description)
         lacking = f", which have no {' and no '.join(content.source.absent)}" if content.source.absent else ""
         print(f"importing {total} frames x {views} views from {config.source}{lacking}; writing to {record.dataset}")
         kept = sum(shard.frames for shard in done.values())
@@ -60,8 +52,7 @@ def import_dataset(config: ImportConfig) -> None:
                     done[shard] = _write_shard(content, record, shard, progress)
         seconds = time.monotonic() - started
         entries = [shard_entry(shard) for shard in done.values()]
-        write_checksummed(record.manifest, with_shards(description, entries, {NO_RENDERER}))
-        (record.folder / UNFINISHED).unlink()
+        record.end(with_shards(description, entries, {NO_RENDERER}))
         rate = (total - kept) * views / seconds
         summary = {
             "frames": total,

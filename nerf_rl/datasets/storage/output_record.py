@@ -4,11 +4,20 @@ from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
+from nerf_rl.datasets.storage.disk import bytes_needed
 from nerf_rl.datasets.storage.finished_shards import FinishedShard, finished_shard
 from nerf_rl.datasets.storage.plan import PLAN, Plan, begun_plan, different_keys
-from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS, partial_files, shard_file, shard_path
+from nerf_rl.datasets.storage.shards import (
+    MANIFEST,
+    SHARDS,
+    UNFINISHED,
+    Layout,
+    partial_files,
+    shard_file,
+    shard_path,
+)
 from nerf_rl.errors import UserError
-from nerf_rl.files.checksummed_json import is_whole
+from nerf_rl.files.checksummed_json import is_whole, write_checksummed
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.outputs import SUMMARY, check_output, prepare_output, write_provenance
 
@@ -89,15 +98,24 @@ class DatasetRecord:
                 found[number] = shard
         return found
 
-    def is_complete(self) -> bool:
-        """Tell whether the record is that of a finished run."""
-        return is_whole(self.manifest) and (self.folder / SUMMARY).is_file()
+    def is_complete(self, finished: Collection[int]) -> bool:
+        """Tell whether, with these shards, nothing is left to do; if so, say it."""
+        complete = len(finished) == len(self.frames) and is_whole(self.manifest) and (self.folder / SUMMARY).is_file()
+        if complete:
+            print(f"{self.dataset}: nothing to do, all {len(finished)} shards are there")
+        return complete
 
-    def prepare(self, finished: Collection[int]) -> None:
+    def bytes_missing(self, finished: Collection[int], layout: Layout) -> int:
+        """Return what the shards beside these will take on disk."""
+        missing = [frames for shard, frames in self.frames.items() if shard not in finished]
+        return bytes_needed(layout, sum(missing), len(missing))
+
+    def begin(self, finished: Collection[int], description: Mapping[str, Any]) -> None:
         """Create the output folder, or keep that of an interrupted run.
 
         Args:
             finished: the shards to keep; others are removed, then the manifest, which comes last.
+            description: what the manifest will say but of the shards.
         """
         config = self._config
         self.dataset.mkdir(parents=True, exist_ok=True)
@@ -108,6 +126,12 @@ class DatasetRecord:
         lost = [shard_path(self.dataset, shard) for shard in self.shards if shard not in finished]
         for path in [*partial_files(self.dataset, self.shards), *lost, self.manifest, self.dataset / MANIFEST]:
             path.unlink(missing_ok=True)
+        write_checksummed(self.folder / UNFINISHED, description)
+
+    def end(self, manifest: Mapping[str, Any]) -> None:
+        """Write the manifest, once all shards are there."""
+        write_checksummed(self.manifest, manifest)
+        (self.folder / UNFINISHED).unlink()
 
     def _begun(self) -> bool:
         """Tell whether an earlier run was cut off here."""

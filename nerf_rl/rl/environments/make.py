@@ -31,7 +31,7 @@ from nerf_rl.rl.environments.wrappers import (
     with_flat_observation,
     with_unit_actions,
 )
-from nerf_rl.scenes.base import GYM, METAWORLD, Policy, Scene
+from nerf_rl.scenes.base import GYM, METAWORLD, Scene
 from nerf_rl.scenes.make import MJCF_ENDINGS, make_scene, scene_modules
 
 
@@ -188,13 +188,7 @@ def _with_script(env: gymnasium.Env, scene: Scene | None) -> gymnasium.Env:
     """Return an environment that knows what its scene's scripted policy would do, if there is one."""
     if scene is None or scene.scripted_policy() is None:
         return env
-
-    def make_policy() -> Policy:
-        policy = scene.scripted_policy()
-        assert policy is not None
-        return policy
-
-    return ScriptedActions(env, make_policy)
+    return ScriptedActions(env, scene.scripted_policy)
 
 
 def _make_scene(spec: EnvSpec) -> Scene:

@@ -24,7 +24,7 @@ class ScriptedActions(gymnasium.Wrapper):
         make_policy: returns a fresh instance of the script for an episode.
     """
 
-    def __init__(self, env: gymnasium.Env, make_policy: Callable[[], Policy]):
+    def __init__(self, env: gymnasium.Env, make_policy: Callable[[], Policy | None]):
         super().__init__(env)
         self._make_policy = make_policy
         self._policy: Policy | None = None

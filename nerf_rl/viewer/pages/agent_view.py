@@ -6,16 +6,15 @@ import numpy as np
 import viser
 import viser.uplot
 
-from nerf_rl.cameras.geometry import camera_position, field_of_view
+from nerf_rl.cameras.geometry import camera_position
 from nerf_rl.datasets.storage.frames import EpisodeColumns
 from nerf_rl.rl.config import EYES_OF_CONTROLS, NO_CONTROL
 from nerf_rl.viewer.field.field_panel import FieldPanel
 from nerf_rl.viewer.newest import NewestOnly
-from nerf_rl.viewer.node_names import node_name
 from nerf_rl.viewer.pages.agent import ActedEpisode, Agent
 from nerf_rl.viewer.pages.agent_pictures import decode_views, draw_decoded, learning_charts
 from nerf_rl.viewer.panels.columns_panel import ColumnsPanel
-from nerf_rl.viewer.panels.scene_panel import frustum_pose, look_through
+from nerf_rl.viewer.panels.frusta import add_frustum
 from nerf_rl.viewer.playback import Playback
 
 
@@ -130,21 +129,8 @@ class AgentView:
         rig = self.agent.encoder.rig
         for i, name in enumerate(rig.names):
             if len(self._frusta) <= i:
-                wxyz, position = frustum_pose(rig.camera_from_world[i])
-                frustum = self.server.scene.add_camera_frustum(
-                    node_name("cameras", name),
-                    fov=field_of_view(rig.intrinsics[i], rig.height),
-                    aspect=rig.width / rig.height,
-                    scale=0.09,
-                    thickness=2.0,
-                    thickness_units="screen",
-                    color=(40, 120, 220),
-                    image=images[i],
-                    wxyz=wxyz,
-                    position=position,
-                )
-                frustum.on_click(lambda event, frustum=frustum: look_through(event, frustum))
-                self._frusta.append(frustum)
+                seen = rig.intrinsics[i], rig.camera_from_world[i], images[i]
+                self._frusta.append(add_frustum(self.server, name, "encoder", *seen))
             self._frusta[i].image = images[i]
 
     def _begin_camera(self) -> None:

@@ -4,11 +4,10 @@ from collections.abc import Callable
 
 import numpy as np
 import viser
-import viser.transforms as vtf
 from jaxtyping import Float
 from numpy import ndarray
 
-from nerf_rl.cameras.geometry import camera_position, field_of_view
+from nerf_rl.cameras.geometry import camera_position
 from nerf_rl.datasets.storage.frames import Frame
 from nerf_rl.datasets.storage.point_cloud import COLOURINGS, PointCloud, fuse_views
 from nerf_rl.datasets.storage.reader import MultiViewDataset
@@ -18,9 +17,8 @@ from nerf_rl.pictures.images import is_surface
 from nerf_rl.pretrain.data.looked_at import distances_to_what_is_looked_at
 from nerf_rl.viewer.drawing.pictures import depth_limits
 from nerf_rl.viewer.node_names import node_name
+from nerf_rl.viewer.panels.frusta import add_frustum, frustum_pose
 
-_FRUSTUM_SCALE = 0.09  # depth of a frustum [m]
-_FRUSTUM_COLOURS = {"encoder": (40, 120, 220), "supervision": (120, 120, 120), "test": (230, 140, 30)}
 _POINT_SIZE = 0.005  # [m]
 
 
@@ -106,23 +104,11 @@ class ScenePanel:
             self._cloud.visible = True
 
     def _add_frusta(self, frame: Frame) -> None:
-        height, width = frame.rgb.shape[1:3]
         for view, camera in enumerate(self._dataset.manifest["cameras"]):
-            fov = field_of_view(frame.intrinsics[view], height)
-            frustum = self._server.scene.add_camera_frustum(
-                node_name("cameras", camera["name"]),
-                fov=fov,
-                aspect=width / height,
-                scale=_FRUSTUM_SCALE,
-                thickness=2.0,
-                thickness_units="screen",
-                color=_FRUSTUM_COLOURS.get(camera["role"], (120, 120, 120)),
-                image=frame.rgb[view],
-            )
+            seen = frame.intrinsics[view], frame.camera_from_world[view], frame.rgb[view]
+            self._frusta.append(add_frustum(self._server, camera["name"], camera["role"], *seen))
             label = self._server.scene.add_label(node_name("camera names", camera["name"]), camera["name"])
             self._names.append(label)
-            frustum.on_click(lambda event, frustum=frustum: look_through(event, frustum))
-            self._frusta.append(frustum)
 
     def _show_frusta(self, visible: bool) -> None:
         for node in (*self._frusta, *self._names):
@@ -137,23 +123,6 @@ def _colourings(absent: tuple[str, ...]) -> list[str]:
     """Return what the points of a dataset may be coloured by; without depth there are none."""
     known = [name for name in COLOURINGS if name != "semantic" or LABELS not in absent]
     return [] if DEPTH in absent else known
-
-
-def frustum_pose(camera_from_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the quaternion (w, x, y, z) and the position [m] of a camera in the world; both use OpenCV's axes."""
-    rotation = vtf.SO3.from_matrix(camera_from_world[:3, :3].T)
-    return rotation.wxyz, camera_position(camera_from_world)
-
-
-def look_through(event: viser.SceneNodePointerEvent, frustum: viser.CameraFrustumHandle) -> None:
-    """Move the camera of the browser that clicked into a frustum."""
-    pose = vtf.SE3.from_rotation_and_translation(vtf.SO3(np.asarray(frustum.wxyz)), np.asarray(frustum.position))
-    camera = event.client.camera
-    with event.client.atomic():
-        camera.position = pose.translation()
-        camera.look_at = pose.translation() + pose.rotation().as_matrix()[:, 2] * 0.8
-        camera.up_direction = -pose.rotation().as_matrix()[:, 1]
-        camera.fov = frustum.fov
 
 
 def look_from(server: viser.ViserServer, frame: Frame) -> None:

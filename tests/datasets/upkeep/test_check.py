@@ -209,7 +209,7 @@ def test_resuming_does_not_sign_a_damaged_shard(folder: Path, tiny_recipe: Path)
     with h5py.File(folder / SECOND, "r+") as file:
         file["reward"][0] += 1
     assert list(record.finished_shards(scene)) == [0]
-    record.prepare([0])
+    record.begin([0], {})
     assert not (folder / SECOND).exists() and not (folder / MANIFEST).exists()
 
 
