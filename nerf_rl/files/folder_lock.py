@@ -39,6 +39,13 @@ def hold_folder(folder: Path) -> None:
     _held[key] = descriptor
 
 
+def release_folder(folder: Path) -> None:
+    """Let other processes write to a folder that this one holds, if it does."""
+    about = folder.stat()
+    if (descriptor := _held.pop((about.st_dev, about.st_ino), None)) is not None:
+        os.close(descriptor)
+
+
 def release_folders() -> None:
     """Let other processes write to the folders that this one holds."""
     while _held:

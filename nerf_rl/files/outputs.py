@@ -13,7 +13,7 @@ import yaml
 from nerf_rl import __version__
 from nerf_rl.errors import OutputExistsError, UserError
 from nerf_rl.files.atomic import is_partial, write_text
-from nerf_rl.files.folder_lock import hold_folder
+from nerf_rl.files.folder_lock import hold_folder, release_folder
 from nerf_rl.files.json_files import read_json, write_json
 from nerf_rl.files.versions import git_revision, package_versions, processor
 
@@ -112,9 +112,13 @@ def prepare_output(
         UserError: another process writes to it, or it cannot be made.
     """
     check_output(folder, overwrite, resume, can_resume, command)
+    was_free = not _in_use(folder)
     with making(folder):
         folder.mkdir(parents=True, exist_ok=True)
     hold_folder(folder)
+    if was_free and _in_use(folder):  # by a process that has ended since: what it wrote has not been asked about
+        release_folder(folder)
+        raise OutputExistsError(folder, "another process has just written it; use another --out")
     if _in_use(folder) and not (resume and can_resume):
         _empty(folder)
 

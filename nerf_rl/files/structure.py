@@ -5,6 +5,7 @@ belongs there. Numbers are bounded by what any run could mean, so that none of t
 """
 
 import re
+import sys
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -35,6 +36,11 @@ def whole(least: int = 0, most: int = MOST) -> Checker:
             raise StructureError(place, value, f"a whole number from {least} to {most}")
 
     return check
+
+
+def any_number(value: Any, place: str) -> None:
+    """Check that a value is a finite number of any size."""
+    number(-sys.float_info.max, sys.float_info.max)(value, place)
 
 
 def number(least: float = -1e12, most: float = 1e12) -> Checker:

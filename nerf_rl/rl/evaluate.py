@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nerf_rl.files.json_files import write_json
-from nerf_rl.files.outputs import SUMMARY, prepare_output, require_outside, write_provenance
+from nerf_rl.files.outputs import SUMMARY, check_output, prepare_output, require_outside, write_provenance
 from nerf_rl.machine.devices import check_device, resolve_device
 from nerf_rl.rl.agents.policy_file import check_policy, find_run
 from nerf_rl.rl.environments.encoder_match import warn_of_workers_rendering
@@ -34,9 +34,7 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
     description = check_policy(run, config.encoder)
     check_device(config.device)
     require_outside(out, run, *filter(None, [config.encoder]))
-    prepare_output(out, config.overwrite)
-    write_provenance(out, "evaluate", config)
-    print(f"evaluate writes to {out}", flush=True)
+    check_output(out, config.overwrite)
 
     from nerf_rl.rl.environments.make import begin_workers, make_vector_env, spec_from_json
     from nerf_rl.rl.environments.vector import close_all
@@ -47,6 +45,9 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
 
     device = resolve_device(config.device)
     policy = Policy.load(run, config.encoder, device)
+    prepare_output(out, config.overwrite)
+    write_provenance(out, "evaluate", config)
+    print(f"evaluate writes to {out}", flush=True)
     seeds = evaluation_seeds(config.seed, max(config.episodes, config.video_episodes))
     envs = make_vector_env(policy.spec, min(config.envs, config.episodes), str(device))
     try:

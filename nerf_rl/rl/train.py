@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nerf_rl.errors import UserError
-from nerf_rl.files.outputs import prepare_output, require_outside, write_provenance
+from nerf_rl.files.outputs import check_output, prepare_output, require_outside, require_place, write_provenance
 from nerf_rl.hub.address import is_address
 from nerf_rl.hub.fetch import lasting
 from nerf_rl.loggers import closed_at_end, require_loggers
@@ -84,15 +84,21 @@ def train_rl(config: TrainRLConfig, on_evaluation: OnEvaluation | None = None) -
         raise UserError(f"--replay.hindsight needs a scene with a goal in its observation; {config.scene} has none")
     if config.seeds:
         return train_seeds(train_rl, config)
-    prepare_output(run, config.overwrite, config.resume, resuming, "train-rl")
-    write_provenance(run, "train-rl", config)
-    print(f"train-rl writes to {run}", flush=True)
+    check_output(run, config.overwrite, config.resume, resuming, "train-rl")
 
     envs = make_vector_env(spec, config.envs, str(resolve_device(config.device)))
     try:
         if encoder is not None:
             warn_of_workers_rendering(encoder, envs)
         sizes = (_size(envs.single_observation_space), _size(envs.single_action_space))
+        if not is_baseline and not resuming:
+            from nerf_rl.rl.experience.replay import require_room
+
+            require_room(require_place(run), *sizes, config.replay.capacity)
+        # once its environments stand and its memory has room: what was there before may have taken hours
+        prepare_output(run, config.overwrite, config.resume, resuming, "train-rl")
+        write_provenance(run, "train-rl", config)
+        print(f"train-rl writes to {run}", flush=True)
         record = RunRecord(config, spec, sizes, list(beside_latent if encoder else ()), on_evaluation)
         if is_baseline:
             return _train_baseline(config, spec, envs, record)
@@ -130,6 +136,8 @@ def _train(config: TrainRLConfig, goal_task: "GoalTask | None", envs: Any, recor
             if not trainer.evaluations or trainer.evaluations[-1]["env_steps"] < trainer.env_steps:
                 evaluate(config.final_evaluation_episodes)  # also of a run that is to end where it was interrupted
                 trainer.save()
+            else:  # by its checkpoint it had come to its end; the policy that is there may be a later one's
+                record.keep(trainer.agent.policy(), config.network, trainer)
         return record.finish(trainer, trainer.agent.updates, envs.processes, trainer.demonstrations.cost)
     finally:
         trainer.replay.close()

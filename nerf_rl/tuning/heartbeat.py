@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from optuna import Study
+from optuna.exceptions import UpdateFinishedTrialError
 from optuna.storages import BaseStorage
 from optuna.trial import FrozenTrial, TrialState
 
@@ -54,9 +55,13 @@ class Heart:
         stop = threading.Event()
 
         def go_on() -> None:
-            with contextlib.suppress(Exception):  # given up, or a storage out of reach: others will tell
-                while not stop.wait(_INTERVAL):
+            while not stop.wait(_INTERVAL):
+                try:
                     self.beat(trial)
+                except UpdateFinishedTrialError:  # given up
+                    return
+                except Exception:  # a storage that is busy or out of reach, for a while perhaps
+                    self._trial = -1
 
         self.beat(trial)
         thread = threading.Thread(target=go_on, daemon=True)

@@ -168,7 +168,7 @@ class WhaleSampler(BaseSampler):
         leading = slot_of(leader)
         assert leading is not None
         origin = np.concatenate([self._origin(name, distribution) for name, distribution in space.items()])
-        done = min(generation - 1, self._iterations - 1) / self._iterations
+        done = (min(generation, max(1, self._iterations - 1)) - 1) / self._iterations
         moved = next_positions(
             positions - origin,
             self._coordinates(leader, leading, space) - origin,

@@ -2,6 +2,7 @@
 
 import math
 import os
+import secrets
 import signal
 import sys
 import time
@@ -73,7 +74,9 @@ def work(task: Task, number: int) -> None:
         time.sleep(pause)
 
     study = optuna.load_study(study_name=task.study, storage=storage)
-    study.sampler = task.search.make_sampler((number, len(study.get_trials(deepcopy=False))), wait)
+    # others that share the study have workers of these numbers, too
+    session = secrets.randbits(32) if task.storage else 0
+    study.sampler = task.search.make_sampler((number, len(study.get_trials(deepcopy=False)), session), wait)
     study.pruner = task.search.make_pruner()
     while True:
         trials = study.get_trials(deepcopy=False)

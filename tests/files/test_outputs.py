@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from nerf_rl.errors import OutputExistsError, UserError
-from nerf_rl.files import outputs
+from nerf_rl.files import folder_lock, outputs
 from nerf_rl.files.atomic import atomic_write
 from nerf_rl.files.versions import processor
 
@@ -233,3 +233,21 @@ def test_a_folder_that_the_system_does_not_let_be_made_is_told_in_a_sentence(for
     for folder in (Path("/proc/run"), foreign / "chapter.tex" / "run"):
         with pytest.raises(UserError, match=rf"{folder} cannot be written \(.+\); choose another name"):
             outputs.prepare_output(folder, overwrite=False)
+
+
+def test_what_another_process_has_written_meanwhile_is_neither_emptied_nor_held(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Both look at a folder that is free; the second waits for the first, which ends soon."""
+    out, hold = tmp_path / "out", outputs.hold_folder
+
+    def hold_later(folder: Path) -> None:
+        (folder / "summary.json").write_text("{}")
+        hold(folder)
+
+    monkeypatch.setattr(outputs, "hold_folder", hold_later)
+    with pytest.raises(OutputExistsError, match="another process has just written it"):
+        outputs.prepare_output(out, overwrite=False)
+    assert (out / "summary.json").read_text() == "{}"
+    about = out.stat()
+    assert (about.st_dev, about.st_ino) not in folder_lock._held

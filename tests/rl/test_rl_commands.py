@@ -315,3 +315,42 @@ def test_a_policy_whose_actions_are_no_numbers_says_so(run: Path, tmp_path: Path
         policy.actor[0].mean.fill_(1e300)
     with pytest.raises(FailureError, match="the policy gives actions that are not numbers; train it, or its encoder,"):
         policy.act(np.zeros((1, policy.observation_size), np.float32))
+
+
+def test_what_cannot_be_begun_does_not_cost_an_earlier_result(
+    run: Path, tiny_encoder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, evaluation = Path(shutil.copytree(run, tmp_path / "agent")), tmp_path / "evaluation"
+    huge = ["train-rl", "--encoder", str(tiny_encoder), "--out", str(out), *SHORT, "--overwrite", "true"]
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    assert cli.main([*huge, "--replay.capacity", "10000000000"]) == 2
+    assert "replay memory needs" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+    words = ["evaluate", "--run", str(out), "--out", str(evaluation), "--episodes", "1"]
+    assert cli.main(words) == 0
+    told = (evaluation / "summary.json").read_bytes()
+    (out / "policy.safetensors").write_bytes(b"cut off")
+    assert cli.main([*words, "--overwrite", "true"]) == 2
+    assert (evaluation / "summary.json").read_bytes() == told
+
+
+def test_a_run_that_is_to_end_at_its_checkpoint_keeps_the_policy_of_then(
+    tiny_encoder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "agent"
+    words = ["train-rl", "--encoder", str(tiny_encoder), "--out", str(out), *SHORT, "--checkpoint_every", "80"]
+    saved, save = [], Trainer.save
+
+    def save_once(self: Trainer) -> None:
+        if saved:
+            raise KeyboardInterrupt
+        saved.append(self.env_steps)
+        save(self)
+
+    with monkeypatch.context() as killed:
+        killed.setattr(Trainer, "save", save_once)
+        assert cli.main(words) == 130
+    assert saved == [80] and Policy.load(out).env_steps == 120
+    assert cli.main([*words, "--env_steps", "80", "--resume", "true"]) == 0
+    last = json.loads((out / "summary.json").read_text())["evaluations"][-1]
+    assert Policy.load(out).env_steps == last["env_steps"] == 80

@@ -15,6 +15,7 @@ from nerf_rl.errors import UnknownNameError
 from nerf_rl.tuning.sampler import SLOT, WhaleSampler
 from nerf_rl.tuning.space import decode, encode, width
 from nerf_rl.tuning.storage import open_storage
+from nerf_rl.tuning.whale import next_positions
 
 SPACE: dict[str, BaseDistribution] = {
     "rate": FloatDistribution(1e-5, 1e-1, log=True),
@@ -191,6 +192,18 @@ def test_the_faithful_mode_is_drawn_to_the_known_good_values() -> None:
 def test_the_search_goes_on_beyond_its_last_generation() -> None:
     study = searched(4 * 5 + 10)
     assert sorted(proposals(study))[-1] == (7, 1)
+
+
+def test_later_generations_are_as_narrow_as_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    progress: list[float] = []
+
+    def note(positions: np.ndarray, leader: np.ndarray, done: float, *rest: Any) -> np.ndarray:
+        progress.append(done)
+        return next_positions(positions, leader, done, *rest)
+
+    monkeypatch.setattr("nerf_rl.tuning.sampler.next_positions", note)
+    searched(4 * 8)
+    assert sorted(set(progress)) == [0.0, 0.2, 0.4, 0.6] and progress[-1] == progress[4 * 3] == 0.6
 
 
 def test_parameters_that_only_some_trials_have_are_drawn_on_their_own() -> None:

@@ -267,3 +267,31 @@ def test_whales_below_the_median_of_earlier_generations_are_pruned() -> None:
     assert pruned == [True, False, False, False, True]
     first = reported(study, (0, 7), [0.0, -9.0], TrialState.RUNNING)
     assert not pruner.prune(study, first)
+
+
+def test_workers_of_sessions_that_share_a_storage_draw_apart_and_those_of_one_folder_alike(tmp_path: Path) -> None:
+    drawn = []
+    for name in ("a", "b", "c", "d"):
+        folder = tmp_path / name
+        folder.mkdir()
+        storage = "" if name in "ab" else f"sqlite:///{folder}/study.db"
+        task = start_study(folder, 2, dataclasses.replace(SEARCH, sampler="random"), storage)
+        drawn.append([trial.params for trial in supervise(task, workers=1).get_trials()])
+    assert drawn[0] == drawn[1] and drawn[2] != drawn[3]
+
+
+def test_a_storage_that_is_busy_for_a_moment_does_not_end_the_heartbeat(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(heartbeat, "_INTERVAL", 0.01)
+    beats = []
+
+    def write(storage: object, trial: object, name: str, content: dict[str, Any]) -> None:
+        beats.append(content["beat"])
+        if len(beats) == 3:
+            raise OSError("database is locked")
+
+    monkeypatch.setattr(heartbeat, "write_note", write)
+    study = optuna.create_study()
+    with heartbeat.Heart(study._storage).beating(study.ask()):
+        while len(beats) < 6:
+            time.sleep(0.01)
+    assert beats == sorted(set(beats))

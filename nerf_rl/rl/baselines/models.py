@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import torch
 from stable_baselines3 import DDPG, PPO, SAC, TD3
-from stable_baselines3.common.noise import NormalActionNoise, OrnsteinUhlenbeckActionNoise
+from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
@@ -14,11 +14,10 @@ from nerf_rl.machine.devices import resolve_device
 from nerf_rl.rl.agents.networks import LayeredActor, LayeredConfig
 from nerf_rl.rl.agents.normalisation import RunningNorm
 from nerf_rl.rl.agents.policy import make_actor
-from nerf_rl.rl.config import TrainRLConfig
+from nerf_rl.rl.config import NoiseConfig, TrainRLConfig
 
 Model = PPO | TD3 | SAC  # DDPG is a TD3 to Stable-Baselines3
 OFF_POLICY = {"sb3-ddpg": DDPG, "sb3-td3": TD3, "sb3-sac": SAC}
-NOISE: dict[str, Any] = {"gaussian": NormalActionNoise, "ou": OrnsteinUhlenbeckActionNoise}
 ACTIVATIONS = {"tanh": nn.Tanh, "relu": nn.ReLU}
 CLIPPED_AT = 10.0  # VecNormalize's own limit of standardised observations
 
@@ -44,8 +43,7 @@ def make_model(config: TrainRLConfig, envs: VecEnv) -> Model:
             "MlpPolicy", envs, **keys, policy_kwargs=network, seed=config.seed, device=resolve_device(config.device)
         )
     learner, actions = config.learner, int(np.prod(envs.action_space.shape or ()))
-    scale = np.full(actions, config.noise.start)
-    noise = None if config.algo == "sb3-sac" else NOISE[config.noise.kind](np.zeros(actions), scale)
+    noise = None if config.algo == "sb3-sac" else _noise(config.noise, actions)
     each = Fraction(learner.updates_per_step * envs.num_envs).limit_denominator(1_000_000)  # step of all environments
     return OFF_POLICY[config.algo](
         "MlpPolicy",
@@ -63,6 +61,15 @@ def make_model(config: TrainRLConfig, envs: VecEnv) -> Model:
         seed=config.seed,
         device=resolve_device(config.device),
     )
+
+
+def _noise(config: NoiseConfig, actions: int) -> ActionNoise:
+    """Return noise of our own agent's kind and size; of Ornstein and Uhlenbeck's, whose size is in the long run."""
+    mean, scale = np.zeros(actions), np.full(actions, config.start)
+    if config.kind == "gaussian":
+        return NormalActionNoise(mean, scale)
+    step = scale * np.sqrt(1.0 - (1.0 - config.theta) ** 2)
+    return OrnsteinUhlenbeckActionNoise(mean, step, theta=config.theta, dt=1.0)
 
 
 def layered_config(config: TrainRLConfig) -> LayeredConfig:

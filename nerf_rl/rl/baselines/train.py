@@ -21,7 +21,7 @@ from nerf_rl.rl.config import OFF_POLICY_BASELINES, TrainRLConfig
 from nerf_rl.rl.environments.make import EnvSpec, env_maker, worker_start_method
 from nerf_rl.rl.environments.vector import told
 from nerf_rl.rl.training.curves import MetricsLog
-from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes
+from nerf_rl.rl.training.episodes import evaluation_seeds, run_episodes, training_seed
 from nerf_rl.rl.training.evaluation_results import DUE, due
 from nerf_rl.rl.training.zoo_files import ZooFiles
 
@@ -153,7 +153,7 @@ def _make_envs(config: TrainRLConfig, spec: EnvSpec) -> VecEnv:
     """Return seeded training environments: in this process if there is one, else each in its own."""
     makers = [env_maker(spec, str(resolve_device(config.device)))] * config.envs
     envs: VecEnv = DummyVecEnv(makers) if config.envs == 1 else SubprocVecEnv(makers, worker_start_method(spec))
-    envs.seed(config.seed)
+    envs.seed(training_seed(config.seed, 0, 0))  # that of each next environment is one more, and so may not be a seed's
     if config.algo == "ppo" and config.ppo.normalise:
         return VecNormalize(envs, gamma=config.ppo.gamma, clip_obs=CLIPPED_AT)
     return envs

@@ -86,7 +86,7 @@ class Replay:
         self._capacity, self.stored = config.capacity, 0
         self._folder = folder
         shutil.rmtree(folder, ignore_errors=True)  # what a killed run left behind
-        check_free_space(folder.parent, 4 * sum(self._split) * (config.capacity + checkpoint_rows))
+        require_room(folder.parent, observation_size, action_size, config.capacity + checkpoint_rows)
         folder.mkdir(parents=True)
         self._storage = LazyMemmapStorage(config.capacity, scratch_dir=folder)
         self._sampler = (
@@ -329,8 +329,9 @@ def _rows(transitions: Sequence[Transition]) -> Float[Tensor, "N W"]:
     return torch.from_numpy(np.stack([np.concatenate(row) for row in rows]).astype(np.float32))
 
 
-def check_free_space(folder: Path, needed: int) -> None:
-    """Raise UserError if the disk of ``folder`` has less than ``needed`` bytes free."""
+def require_room(folder: Path, observation_size: int, action_size: int, rows: int) -> None:
+    """Raise UserError if the disk of ``folder`` has no room for so many rows of memory, which are of 32 bits."""
+    needed = 4 * (2 * observation_size + action_size + 2) * rows
     free = shutil.disk_usage(folder).free
     if needed > free:
         raise UserError(

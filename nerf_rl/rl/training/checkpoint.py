@@ -84,7 +84,8 @@ def save_checkpoint(
     write_tensors(aside / _TENSORS, tensors)
     write_json(aside / _FACTS, {"format": _FORMAT, **facts})
     add(aside)
-    shutil.rmtree(final, ignore_errors=True)
+    if final.exists():  # it stays, by another name of the same number, until the new one is there
+        final.rename(parent / f"{env_steps:09d}")
     rename_durably(aside, final)
     for older in parent.glob("[0-9]*"):
         if older != final:

@@ -5,16 +5,16 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from nerf_rl.files.structure import listing, mapping, number, optional, whole
+from nerf_rl.files.structure import any_number, listing, mapping, optional, whole
 
 _EPISODES = 10  # whose mean is compared with the best such mean
 _GAIN = 0.02  # of the range of means so far: a smaller rise is noise
 
 STRUCTURE = mapping(
     {
-        "returns": listing(number(), 0, _EPISODES),
-        "best": optional(number()),
-        "worst": optional(number()),
+        "returns": listing(any_number, 0, _EPISODES),
+        "best": optional(any_number),
+        "worst": optional(any_number),
         "since": whole(),
     }
 )

@@ -84,7 +84,8 @@ def run_episodes(envs: gymnasium.vector.VectorEnv, act: Act, seeds: Sequence[int
             return Episodes(success if told else None, returns, length, to_end)
         if restart.any():
             observation = reset_some(envs, restart, slot_seeds)
-        action = act(observation)
+        # one by one: of a batch, the last bits of a policy's products differ with the number of rows
+        action = np.concatenate([act(row[None]) for row in observation])
         if not np.isfinite(action).all():  # MuJoCo would take it for zero, and go on
             return Episodes(None, np.full(len(seeds), np.nan), length)
         observation, reward, terminated, truncated, info = step_all(envs, action)

@@ -7,7 +7,7 @@ from typing import Any
 from nerf_rl.errors import MissingFileError
 from nerf_rl.files.json_files import read_json
 from nerf_rl.files.outputs import SUMMARY
-from nerf_rl.files.structure import flag, listing, mapping, number, whole
+from nerf_rl.files.structure import any_number, flag, listing, mapping, number, whole
 
 SUCCESS, LOW, HIGH = "success_rate", "ci_low", "ci_high"
 """of environments that tell of success; other results are without"""
@@ -19,7 +19,7 @@ TO_END = "to_end"
 """true where evaluated episodes went on after a success; other results are without"""
 EVALUATIONS = listing(
     mapping(
-        {"env_steps": whole(), "episodes": whole(1), "mean_return": number()},
+        {"env_steps": whole(), "episodes": whole(1), "mean_return": any_number},
         {**dict.fromkeys((SUCCESS, LOW, HIGH), number(0.0, 1.0)), DEMONSTRATIONS: whole(1), DUE: whole(), TO_END: flag},
         others=True,
     )

@@ -331,7 +331,7 @@ class Trainer:
         """Do the updates that the steps so far are worth."""
         config = self._config
         starts = config.warmup_steps if config.learning_starts is None else config.learning_starts
-        if self._acted < starts:
+        if self._acted < (max(starts, config.warmup_steps) if config.demonstrations else starts):
             return
         self.demonstrations.clone(self.agent, self.replay, self.metrics.gather)
         if len(self.replay) < config.learner.batch_size:

@@ -14,7 +14,8 @@ from tiny_recipes import TINY_TRAINING
 
 from nerf_rl import cli
 from nerf_rl.rl.agents.policy import Policy
-from nerf_rl.rl.config import BASELINES, OFF_POLICY_BASELINES, LearnerConfig, TrainRLConfig
+from nerf_rl.rl.config import BASELINES, OFF_POLICY_BASELINES, LearnerConfig, NoiseConfig, TrainRLConfig
+from nerf_rl.rl.environments.make import EnvSpec
 
 pytest.importorskip("stable_baselines3", reason="extra sb3")
 
@@ -138,3 +139,27 @@ def test_a_missing_extra_is_told_in_a_sentence(monkeypatch: pytest.MonkeyPatch, 
     error = capsys.readouterr().err
     assert "--algo ppo needs the extra 'sb3'; in a checkout of nerf-rl: pip install '.[sb3]'" in error
     assert not (tmp_path / "run").exists()
+
+
+def test_the_noise_of_ornstein_and_uhlenbeck_has_the_size_and_memory_that_are_asked_for() -> None:
+    from nerf_rl.rl.baselines.models import _noise
+
+    noise = _noise(NoiseConfig(kind="ou", start=0.5, theta=0.2), 2000)
+    drawn = np.stack([noise() for _ in range(60)])[30:]
+    assert drawn.std() == pytest.approx(0.5, rel=0.05)
+    later, earlier = drawn[1:].ravel(), drawn[:-1].ravel()
+    assert np.corrcoef(later, earlier)[0, 1] == pytest.approx(0.8, abs=0.02)
+    gaussian = _noise(NoiseConfig(kind="gaussian", start=0.5), 2000)
+    assert gaussian().std() == pytest.approx(0.5, rel=0.1)
+
+
+def test_seeds_of_a_sweep_share_no_environment(tmp_path: Path) -> None:
+    from nerf_rl.rl.baselines import train as baselines_train
+
+    spec, seeds = EnvSpec("gym/InvertedPendulum-v5", None, 1, 20), set()
+    for seed in range(3):
+        config = TrainRLConfig(scene=spec.scene, algo="ppo", out=str(tmp_path), seed=seed, envs=1)
+        envs = baselines_train._make_envs(config, spec)
+        seeds |= {envs.unwrapped._seeds[0] + step for step in range(8)}  # those of more environments follow it
+        envs.close()
+    assert len(seeds) == 24

@@ -9,7 +9,7 @@ import torch
 from nerf_rl.errors import UserError
 from nerf_rl.rl.config import ReplayConfig
 from nerf_rl.rl.experience.n_step import Transition
-from nerf_rl.rl.experience.replay import Replay, check_free_space
+from nerf_rl.rl.experience.replay import Replay, require_room
 
 
 def filled(folder: Path, count: int = 8, capacity: int = 8, batch_size: int = 4096, **keys: object) -> Replay:
@@ -108,7 +108,7 @@ def test_the_file_lies_in_the_given_folder_until_closed(tmp_path: Path) -> None:
 
 def test_a_full_disk_is_told_before_anything_is_stored(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"replay memory needs .* GB of disk, .* smaller --replay.capacity"):
-        check_free_space(tmp_path, 10**18)
+        require_room(tmp_path, 100, 10, 10**15)
 
 
 def test_a_memory_of_one_transition_has_a_spread_and_comes_back(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from nerf_rl.rl.sweeps.aggregates import describe_scores, interquartile_mean, st
 from nerf_rl.rl.sweeps.seed_list import parse_seeds
 from nerf_rl.rl.sweeps.summary import summarise
 from nerf_rl.rl.sweeps.table import aligned, describe_summary, seeds_table
+from nerf_rl.rl.training.evaluation_results import EVALUATIONS
 
 
 def run_of(seed: int, rates: list[float], good: int | None = None) -> dict:
@@ -148,3 +149,10 @@ def test_a_long_run_has_columns_for_some_evaluations_and_for_the_last():
     heads, rows = seeds_table(summary)
     assert len(heads) == len(rows[0]) == 1 + 10 + 5 and heads[10] == "37,000"
     assert len(summary["curve"]) == 37
+
+
+def test_returns_may_be_of_any_size():
+    evaluation = {"env_steps": 10, "episodes": 1, "mean_return": -3e15}
+    EVALUATIONS([evaluation], "")
+    with pytest.raises(ValueError, match="mean_return is inf"):
+        EVALUATIONS([{**evaluation, "mean_return": float("inf")}], "")

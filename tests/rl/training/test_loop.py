@@ -298,3 +298,38 @@ def test_networks_start_anew_where_they_still_learn_and_not_before_they_are_kept
     train(trainer, 310)
     assert resets == [300] and trainer.agent.updates >= updates + 20
     trainer.replay.close()
+
+
+def test_an_evaluated_policy_sees_one_environment_at_a_time(envs: AsyncVectorEnv) -> None:
+    """Of a batch, the last bits of a product of matrices differ with the number of rows."""
+    seen = []
+
+    def act(observation: np.ndarray) -> np.ndarray:
+        seen.append(len(observation))
+        return np.zeros((len(observation), *(envs.single_action_space.shape or ())), np.float32)
+
+    run_episodes(envs, act, evaluation_seeds(0, 3))
+    assert envs.num_envs > 1 and set(seen) == {1}
+
+
+def test_a_checkpoint_that_is_written_anew_is_never_missing(
+    envs: AsyncVectorEnv, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    trainer = Trainer(config(run), envs, run)
+    train(trainer, 300)
+    trainer.save()
+
+    def killed(source: Path, target: Path) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("nerf_rl.rl.training.checkpoint.rename_durably", killed)
+        with pytest.raises(KeyboardInterrupt):
+            trainer.save()
+    left = last_checkpoint(run)
+    assert left is not None and int(left.name) == trainer.env_steps
+    trainer.save()
+    assert [path.name for path in (run / "checkpoints").iterdir()] == [f"{trainer.env_steps:08d}"]
+    trainer.replay.close()
