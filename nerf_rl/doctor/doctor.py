@@ -16,7 +16,7 @@ from nerf_rl.doctor.optional_packages import extras
 from nerf_rl.doctor.trial import trial
 from nerf_rl.errors import FailureError
 from nerf_rl.files.json_files import write_json
-from nerf_rl.files.outputs import plain, require_file_place
+from nerf_rl.files.outputs import making, plain, require_file_place
 from nerf_rl.files.versions import package_versions
 from nerf_rl.machine.cores import usable_cores
 
@@ -40,7 +40,8 @@ def doctor(config: DoctorConfig) -> None:
     """
     if config.json:  # known before the probes, which take minutes
         require_file_place(Path(config.json))
-        Path(config.json).parent.mkdir(parents=True, exist_ok=True)
+        with making(Path(config.json)):
+            Path(config.json).parent.mkdir(parents=True, exist_ok=True)
     print(f"nerf-rl {__version__}, Python {sys.version.split()[0]}, {sys.executable}")
     findings = [machine(), shared_memory(Path("/dev/shm")), disk(Path(config.folder)), *probed(config.timeout)]
     width = max(len(finding.name) for finding in findings)
@@ -51,7 +52,8 @@ def doctor(config: DoctorConfig) -> None:
     broken = [finding.name for finding in findings if finding.status == "broken"]
     if config.json:
         report = {"ok": not broken, "findings": plain(findings), "packages": package_versions()}
-        write_json(Path(config.json), report)
+        with making(Path(config.json)):
+            write_json(Path(config.json), report)
     if broken:
         raise FailureError(f"what is needed does not work: {', '.join(broken)}")
     print("everything that is needed works")

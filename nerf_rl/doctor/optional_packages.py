@@ -1,5 +1,6 @@
 """What the doctor says of the optional packages, and why one cannot be had on this machine."""
 
+import contextlib
 import importlib.metadata
 import importlib.util
 import platform
@@ -9,17 +10,18 @@ from collections.abc import Iterable
 from nerf_rl.doctor.finding import Finding, shortened
 
 EXTRAS = {
-    "lerobot": ("av", "av"),
-    "dm_control": ("shimmy", "shimmy"),
-    "robotics": ("gymnasium_robotics", "gymnasium-robotics"),
-    "panda": ("panda_gym", "panda-gym"),
-    "sb3": ("stable_baselines3", "stable-baselines3"),
-    "ray": ("ray", "ray"),
-    "browser": ("playwright", "playwright"),
-    "hub": ("huggingface_hub", "huggingface_hub"),
-    "wandb": ("wandb", "wandb"),
-    "mlflow": ("mlflow", "mlflow-skinny"),
+    "lerobot": "av",
+    "dm_control": "shimmy",
+    "robotics": "gymnasium-robotics",
+    "panda": "panda-gym",
+    "sb3": "stable-baselines3",
+    "ray": "ray",
+    "browser": "playwright",
+    "hub": "huggingface_hub",
+    "wandb": "wandb",
+    "mlflow": "mlflow-skinny",
 }
+"""the package that each of them installs"""
 _GLIBC_OF_OPEN3D = (2, 35)  # which its wheels for Python 3.13 are built for
 
 
@@ -29,8 +31,8 @@ def extras(export: dict) -> Iterable[Finding]:
     Args:
         export: what the probe of Open3D found.
     """
-    for extra, (module, package) in EXTRAS.items():
-        if importlib.util.find_spec(module) is not None:
+    for extra, package in EXTRAS.items():
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             yield Finding(f"extra {extra}", "ok", f"{package} {importlib.metadata.version(package)}")
             continue
         lack = no_panda(sys.version_info[:2], platform.machine()) if extra == "panda" else None

@@ -6,7 +6,7 @@ from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.stored_manifest import STATE
 from nerf_rl.errors import UserError
 from nerf_rl.files.json_files import write_json
-from nerf_rl.files.outputs import SUMMARY, prepare_output, require_outside, write_provenance
+from nerf_rl.files.outputs import SUMMARY, check_output, prepare_output, require_outside, write_provenance
 from nerf_rl.machine.devices import check_device, resolve_device
 from nerf_rl.machine.threads import wait_passively
 from nerf_rl.pretrain.config import ProbeConfig
@@ -34,8 +34,7 @@ def probe(config: ProbeConfig) -> None:
     check_device(config.device)
     if config.out is not None:
         require_outside(Path(config.out), config.data, config.encoder)
-        prepare_output(Path(config.out), config.overwrite)
-        write_provenance(Path(config.out), "probe", config)
+        check_output(Path(config.out), config.overwrite)
 
     from nerf_rl.pretrain.measures.probing import probe_encoder
     from nerf_rl.pretrain.model.encoder import Encoder  # PyTorch takes seconds to import; mistakes are told before
@@ -44,4 +43,7 @@ def probe(config: ProbeConfig) -> None:
     result = probe_encoder(encoder, dataset, config.frames, config.seed, config.ceiling_steps)
     print(result.table())
     if config.out is not None:
+        # only now, when there is something to put in the place of what was there
+        prepare_output(Path(config.out), config.overwrite)
+        write_provenance(Path(config.out), "probe", config)
         write_json(Path(config.out) / SUMMARY, result.summary())

@@ -222,7 +222,12 @@ def test_the_doctor_says_why_open3d_cannot_be_had(
 
 
 def test_an_extra_that_is_missing_here_is_told_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor_extras, "EXTRAS", {"panda": ("no_such_module", "panda-gym")})
+    monkeypatch.setattr(doctor_extras, "EXTRAS", {"panda": "no-such-package"})
     monkeypatch.setattr(doctor_extras.platform, "machine", lambda: "aarch64")
     finding = next(iter(doctor_extras.extras({"ok": True, "version": "1"})))
     assert finding.status == "note" and "PyBullet" in finding.detail and finding.fix
+
+
+def test_a_report_that_cannot_be_written_is_told_in_a_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["doctor", "--json", "/proc/nowhere/report.json"]) == 2
+    assert "/proc/nowhere/report.json cannot be written" in capsys.readouterr().err

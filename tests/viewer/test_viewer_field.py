@@ -20,12 +20,13 @@ from nerf_rl.pretrain.model.field import FieldBounds, RadianceField
 from nerf_rl.pretrain.model.ray_rendering import render_images
 from nerf_rl.viewer.field import progressive
 from nerf_rl.viewer.field.density_mesh import density_mesh, surface_net
-from nerf_rl.viewer.field.field_panel import Pace
+from nerf_rl.viewer.field.field_panel import FieldPanel, Pace
 from nerf_rl.viewer.field.latents import EncodedDataset
 from nerf_rl.viewer.field.progressive import FreeCamera, Picture, render_progressively
 from nerf_rl.viewer.field.reconstruction import errors, render_views
 from nerf_rl.viewer.pages.agent_pictures import decode_views
 from nerf_rl.viewer.pages.encoder_view import probe_table
+from nerf_rl.viewer.server import serve
 
 
 @pytest.fixture(scope="module")
@@ -182,6 +183,24 @@ def test_a_surface_net_of_a_ball_has_its_volume_and_faces_outwards() -> None:
     assert np.isclose(volume, 4.0 / 3.0 * np.pi * 0.7**3, rtol=0.02)
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()  # watertight
+
+
+def test_the_mesh_goes_where_nothing_has_that_density(
+    encoded: EncodedDataset, frame: Frame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    triangle = np.eye(3), np.array([[0, 1, 2]]), np.zeros((3, 3))
+    found = iter([triangle, (np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros((0, 3)))])
+    monkeypatch.setattr("nerf_rl.viewer.field.field_panel.density_mesh", lambda field, level: next(found))
+    with serve("127.0.0.1", 0, "test") as server:
+        panel = FieldPanel(server, encoded.dataset.palette, (0.1, 2.0))
+        panel.mode.value, panel._field = "density mesh", encoded.folded(encoded.latent(frame))
+        shown = []
+        for _ in range(2):
+            panel._draw_mesh(None, lambda: False)
+            assert panel._mesh is not None
+            shown.append(panel._mesh.visible)
+        panel.close()
+    assert shown == [True, False]
 
 
 def test_the_mesh_of_a_density_lies_where_the_field_has_that_density(encoded: EncodedDataset, frame: Frame) -> None:

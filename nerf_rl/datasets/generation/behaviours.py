@@ -64,6 +64,7 @@ class Behaviour:
         self._shares = weights / weights.sum()
         self._scattering = Scattering(scene) if config.scattered else None
         self._states: StoredStates | None = None
+        self._places: tuple[mujoco.MjModel, ndarray, ndarray] | None = None
         if config.replay:
             self._states = open_states(Path(config.states), scene)
             if self._states.shortest() <= steps:
@@ -82,6 +83,9 @@ class Behaviour:
             episode: its number, which decides what is replayed.
             rng: decides everything else.
         """
+        if self._places is not None:  # which a replayed episode moved, and not every reset puts back
+            model, *places = self._places
+            model.body_pos[:], model.body_quat[:] = places
         kind = rng.choice(KINDS, p=self._shares)
         if kind == "replay":
             return self._replay(episode, rng)
@@ -129,6 +133,7 @@ class Behaviour:
         assert self._states is not None
         scene, states = self._scene, self._states
         scene.env.reset(seed=int(rng.integers(2**31)))
+        self._places = scene.model, scene.model.body_pos.copy(), scene.model.body_quat.copy()
         still = np.zeros(scene.env.action_space.shape or (), np.float32)
         for row in states.rows(episode % states.trajectories(), self._steps + 1):
             restore_state(scene, row)

@@ -32,7 +32,7 @@ def episode_rows(content: Content, episode: int) -> Iterator[dict[str, ndarray]]
 
 
 def _row(content: Content, frame: SourceFrame) -> dict[str, ndarray]:
-    rgb = shrunk_colours(frame.rgb, content.shrink)
+    rgb = shrunk_colours(frame.rgb, content.shrink, frame.valid)
     shape = rgb.shape[:3]
     depth = np.full(shape, np.inf, np.float32) if frame.depth is None else thinned(frame.depth, content.shrink)
     row = {
@@ -64,17 +64,23 @@ def _faults(content: Content, row: dict[str, ndarray]) -> Iterator[str]:
         yield from (f"{name} {fault}" for fault in array_faults(values))
 
 
-def shrunk_colours(rgb: ndarray, factor: int) -> ndarray:
+def shrunk_colours(rgb: ndarray, factor: int, valid: ndarray | None = None) -> ndarray:
     """Return pictures [V, H, W, 3] that are so many times smaller: each pixel the mean of those that it covers.
 
-    Rows and columns that are left over at the bottom and on the right are cut off.
+    Pixels that do not count (``valid`` [V, H, W]) are left out, but where there are no others. Rows and columns that
+    are left over at the bottom and on the right are cut off.
     """
     if factor == 1:
         return rgb
     views, height, width = rgb.shape[0], rgb.shape[1] // factor, rgb.shape[2] // factor
-    cut = rgb[:, : height * factor, : width * factor]
-    blocks = cut.reshape(views, height, factor, width, factor, 3).astype(np.float32)
-    return np.rint(blocks.mean((2, 4))).astype(np.uint8)
+    cut = slice(None), slice(height * factor), slice(width * factor)
+    blocks = rgb[cut].reshape(views, height, factor, width, factor, 3).astype(np.float32)
+    means = blocks.mean((2, 4))
+    if valid is not None:
+        weights = valid[cut].reshape(views, height, factor, width, factor, 1).astype(np.float32)
+        counts = weights.sum((2, 4))
+        means = np.where(counts > 0, (blocks * weights).sum((2, 4)) / np.maximum(counts, 1.0), means)
+    return np.rint(means).astype(np.uint8)
 
 
 def thinned(numbers: ndarray, factor: int) -> ndarray:

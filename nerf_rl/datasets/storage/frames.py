@@ -1,5 +1,6 @@
 """One frame of a dataset with all that its cameras saw, and the episode around it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -98,10 +99,18 @@ def in_world(frame: Frame) -> Frame:
 def named_points(names: tuple[str, ...], values: Float[ndarray, "Q"]) -> dict[str, tuple[float, float, float]]:
     """Gather columns that are called ``NAME_x``, ``NAME_y`` and ``NAME_z`` into positions [m]."""
     by_name = dict(zip(names, values.tolist(), strict=True))
+    return {stem: (by_name[f"{stem}_x"], by_name[f"{stem}_y"], by_name[f"{stem}_z"]) for stem in _positions(names)}
+
+
+def position_columns(names: Sequence[str]) -> list[int]:
+    """Return which columns are of positions, as :func:`named_points` gathers them."""
+    whole = {f"{stem}_{axis}" for stem in _positions(names) for axis in "xyz"}
+    return [column for column, name in enumerate(names) if name in whole]
+
+
+def _positions(names: Sequence[str]) -> list[str]:
     stems = [name[:-2] for name in names if name.endswith("_x")]
-    axes = ("_x", "_y", "_z")
-    whole = [stem for stem in stems if all(stem + axis in by_name for axis in axes)]
-    return {stem: (by_name[f"{stem}_x"], by_name[f"{stem}_y"], by_name[f"{stem}_z"]) for stem in whole}
+    return [stem for stem in stems if all(f"{stem}_{axis}" in names for axis in "xyz")]
 
 
 def read_columns(dataset: MultiViewDataset, frames: range) -> EpisodeColumns:

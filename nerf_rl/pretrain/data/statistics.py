@@ -96,13 +96,13 @@ def class_change(shown: Int[ndarray, "C V H W"]) -> Float[ndarray, "V H W"]:
     Where something may be and is not, the background tells as much as the thing itself does where it is.
 
     Args:
-        shown: in how many images a pixel shows a class.
+        shown: in how many images a pixel shows a class; one that never counts, in none.
     """
-    return 1.0 - shown.max(0) / shown.sum(0)
+    return np.where(shown.any(0), 1.0 - shown.max(0) / np.maximum(shown.sum(0), 1), 0.0)
 
 
 def _look(dataset: MultiViewDataset, frames: ndarray, views: list[int]) -> tuple[_Pixels, Int[ndarray, "C V H W"]]:
-    """Return pixels spread over the frames and views, and how often each pixel shows each class.
+    """Return pixels that count, spread over the frames and views, and how often each pixel shows each class.
 
     A few frames at a time: memory does not grow with their number or size, but for the pixels that are kept.
     """
@@ -113,10 +113,15 @@ def _look(dataset: MultiViewDataset, frames: ndarray, views: list[int]) -> tuple
     for first in range(0, len(frames), _FRAMES_AT_ONCE):
         chunk = frames[first : first + _FRAMES_AT_ONCE]
         depth, semantic = dataset.read("depth", chunk)[:, views], dataset.read_labels(chunk)[:, views]
+        valid = dataset.read_valid(chunk)
+        countable = None if valid is None else valid[:, views]
         for label in range(len(shown)):
-            shown[label] += (semantic == label).sum(0)
-        kept = min(depth.size, _MOST_PIXELS * len(chunk) // len(frames))
-        index = np.sort(rng.choice(depth.size, kept, replace=False)) if kept < depth.size else np.arange(depth.size)
+            shown[label] += (semantic == label if countable is None else (semantic == label) & countable).sum(0)
+        counting = None if countable is None else np.flatnonzero(countable)
+        count = depth.size if counting is None else len(counting)
+        kept = min(count, _MOST_PIXELS * len(chunk) // len(frames))
+        index = np.sort(rng.choice(count, kept, replace=False)) if kept < count else np.arange(count)
+        index = index if counting is None else counting[index]
         frame, rest = np.divmod(index.astype(np.int32), size)
         view, row, column = np.unravel_index(rest, (len(views), height, width))
         is_background = semantic.ravel()[index] == _BACKGROUND
@@ -217,6 +222,8 @@ def _bounds(
     far = sampling.far
     if far is None:
         far = min(_BACKDROP * float(np.median(pixels.depth[seen])), _BACKDROP_OF_THINGS * distance)
+        if DEPTH not in dataset.absent:
+            far = min(far, _HIT * float(dataset.manifest["far"]))  # where nothing is hit, or nothing is known
     if not 0 < near < far:
         raise UserError(f"sampling needs 0 < near < far, got near {near:.3f} and far {far:.3f}")
 

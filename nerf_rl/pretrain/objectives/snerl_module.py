@@ -211,6 +211,8 @@ class SnerlModule(EncoderModule):
                 raise SpoiltWeightsError(self.global_step, "the field's colours")
             if LABELS in self._dataset.absent:
                 pictures = PictureFigures({**pictures.figures, "miou": None}, {}, {})
+            if DEPTH in self._dataset.absent:
+                pictures = pictures._replace(figures={**pictures.figures, "depth_mae_m": None})
             if role == ENCODER_CAMERAS:
                 self.validation, self.class_iou, self.class_share = pictures
             else:

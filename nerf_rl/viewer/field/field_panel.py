@@ -136,7 +136,11 @@ class FieldPanel:
                 self._mesh.visible = False
             return
         vertices, faces, colours = density_mesh(field, float(self.level.value))
-        if stale() or not len(faces):
+        if stale():
+            return
+        if not len(faces):  # what is shown would be another level's, or another moment's
+            if self._mesh is not None:
+                self._mesh.visible = False
             return
         shades = (255 * colours).astype(np.uint8)
         surface = trimesh.Trimesh(vertices, faces, vertex_colors=shades, process=False)

@@ -108,6 +108,7 @@ class ScenePanel:
             seen = frame.intrinsics[view], frame.camera_from_world[view], frame.rgb[view]
             self._frusta.append(add_frustum(self._server, camera["name"], camera["role"], *seen))
             label = self._server.scene.add_label(node_name("camera names", camera["name"]), camera["name"])
+            label.position = self._frusta[view].position
             self._names.append(label)
 
     def _show_frusta(self, visible: bool) -> None:

@@ -287,6 +287,15 @@ def test_mistakes_are_told_in_a_sentence_and_nothing_is_written(
     assert not (tmp_path / "out").exists()
 
 
+def test_pixels_that_do_not_count_are_refused_since_they_have_no_place(
+    dataset: MultiViewDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(MultiViewDataset, "read_valid", lambda self, frames: np.zeros((len(frames), 4, 24, 24), bool))
+    assert cli.main(["export", str(dataset.folder), "--format", "lerobot", "--out", str(tmp_path / "out")]) == 2
+    assert "has pixels that are masked or of unknown depth, for which LeRobot has no place" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_scattered_frames_are_refused_with_how_to_keep_all(
     tiny_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

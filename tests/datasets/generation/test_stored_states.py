@@ -85,7 +85,8 @@ def test_a_replay_goes_on_with_the_same_states_alone(tmp_path: Path, capsys: pyt
     capsys.readouterr()
     assert cli.main([*command, "--resume", "true"]) == 2
     said = capsys.readouterr().err
-    assert f"with other states in {source}; use the same one" in said and said.count("\n") == 1
+    assert f"with other states in {source} (what differs: states_sha256); use the same one" in said
+    assert said.count("\n") == 1
     assert cli.main(["check", str(out), "--repair", "true"]) == 1
     assert f"{source} holds other states than it did" in capsys.readouterr().err and not lost.exists()
 
@@ -186,3 +187,33 @@ def test_too_short_a_source_is_told_with_the_length_it_has(
 def test_a_replay_without_a_source_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert cli.main(["gen-dataset", "--out", str(tmp_path / "x"), "--behaviour.replay", "1"]) == 2
     assert "give both" in capsys.readouterr().err
+
+
+def test_what_is_replayed_changes_no_other_episode(tmp_path: Path):
+    """A post that no joint moves stands elsewhere in the states than in the file, whose resets do not put it back."""
+    scene = tmp_path / "scene.xml"
+    text = """<mujoco><worldbody><light pos="0 0 2"/><geom type="plane" size="2 2 0.1"/>
+<body name="post" pos="{} 0 0.1"><geom size="0.05"/></body>
+<body pos="0 0 0.2"><joint name="rail" type="slide" axis="0 1 0" range="-1 1"/><geom size="0.05"/></body></worldbody>
+<actuator><motor joint="rail" ctrlrange="-1 1"/></actuator></mujoco>"""
+    keys = ["--scene", str(scene), "--size", "16", "--episodes_per_shard", "1", "--episode_steps", "2"]
+    keys += ["--frames_per_episode", "3"]
+    scene.write_text(text.format(0.4))
+    states = generate(tmp_path / "states", *keys, "--episodes", "2").read("state/qpos").reshape(2, 1, 3)
+    scene.write_text(text.format(-0.4))
+    mixed = ["--behaviour.random", "0.5", "--behaviour.replay", "0.5", "--behaviour.scripted", "0"]
+    mixed += [
+        "--behaviour.noisy",
+        "0",
+        "--behaviour.states",
+        str(tmp_path / "states"),
+        "--episodes",
+        "8",
+        "--seed",
+        "1",
+    ]
+    dataset = generate(tmp_path / "mixed", *keys, *mixed)
+    replayed = (dataset.read("state/qpos").reshape(1, 8, 3) == states).all(2).any(0)
+    assert 1 <= replayed.sum() <= 7 and (np.diff(replayed.astype(int)) < 0).any(), "others come after them"
+    places = dataset.read("state/body_pos")[:, 1, 0].reshape(8, 3)
+    np.testing.assert_allclose(places, np.where(replayed, 0.4, -0.4)[:, None].repeat(3, 1))

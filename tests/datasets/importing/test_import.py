@@ -14,6 +14,9 @@ from nerf_rl import cli
 from nerf_rl.cameras.geometry import look_from, pixel_centres, pixel_directions, project, projection_matrix
 from nerf_rl.datasets.export.picture_names import picture_names
 from nerf_rl.datasets.importing import importer
+from nerf_rl.datasets.importing.frame_rows import shrunk_colours
+from nerf_rl.datasets.importing.nerfstudio.lens import Lens, unbend
+from nerf_rl.datasets.importing.nerfstudio.lens import shown as lens_shows
 from nerf_rl.datasets.storage.frames import read_frame
 from nerf_rl.datasets.storage.point_cloud import fuse_views
 from nerf_rl.datasets.storage.reader import MultiViewDataset
@@ -155,6 +158,22 @@ def test_smaller_pictures_keep_their_rays(tmp_path: Path):
     np.testing.assert_allclose(small.read("rgb", [0])[0, :, 1, 2], block, atol=0.51)
     middle = pixel_directions(K[0], poses[0, 0], np.array([[10.0, 6.0]]))  # of that block
     np.testing.assert_allclose(pixel_directions(k[0], poses[0, 0], np.array([[2.5, 1.5]])), middle)
+
+
+def test_smaller_pictures_leave_out_what_does_not_count():
+    rgb, valid = np.full((1, 8, 8, 3), 200, np.uint8), np.ones((1, 8, 8), bool)
+    rgb[:, :, :2], valid[:, :, :2] = 0, False
+    assert (shrunk_colours(rgb, 4, valid) == 200).all() and shrunk_colours(rgb, 4)[0, 0, 0].tolist() == [100] * 3
+    assert (shrunk_colours(rgb, 2, valid)[:, :, 0] == 0).all(), "where nothing counts it is what it is"
+
+
+@pytest.mark.parametrize("k1", [0.1, -0.2])
+def test_the_rim_of_an_unbent_picture_is_what_it_shows(k1: float):
+    lens, K = Lens((k1, 0.0, 0.0, 0.0, 0.0)), np.array([[60.0, 0, 32], [0, 60, 32], [0, 0, 1]])
+    maps = lens.maps(K, 64, 64)
+    unbent = unbend(np.full((64, 64, 3), 200, np.uint8), maps)
+    assert (unbent[lens_shows(maps, 64, 64)] == 200).all() and (unbent[~lens_shows(maps, 64, 64)] == 0).all()
+    assert lens_shows(maps, 64, 64).all() == (k1 < 0)
 
 
 def test_a_bent_picture_becomes_that_of_a_pinhole(tmp_path: Path):

@@ -12,6 +12,7 @@ import pytest
 from tiny_recipes import generate_whole_episodes
 
 from nerf_rl import cli
+from nerf_rl.datasets.storage.frames import position_columns
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 
 pytest.importorskip("av", reason="the extra 'lerobot' (PyAV) is not installed")
@@ -187,3 +188,8 @@ def test_a_fault_is_one_sentence(
     assert len(said) == 1 and str(source) in said[0]
     assert any(part in said[0] for part in fault.split("|")), said
     assert not (tmp_path / "out" / "manifest.json").exists()
+
+
+def test_positions_of_the_true_state_are_in_metres_too():
+    names = ("hand_x", "hand_y", "hand_z", "opening", "tilt_x", "cup_z", "cup_x", "cup_y")
+    assert position_columns(names) == [0, 1, 2, 5, 6, 7]

@@ -51,6 +51,7 @@ def test_pictures_alone_are_enough_for_a_field_of_colours(
     assert cli.main([*anchors, "--out", str(tmp_path / "run")]) == 2
     assert "has no depth and no labels, which --objective anchors learns from" in capsys.readouterr().err
     rgb = [*command, "--config", str(PRETRAIN / "objectives" / "field-rgb.yaml"), *TINY, "--log_every", "1"]
+    rgb += ["--sampling.near", "0.5", "--sampling.far", "2000"]  # beyond what stands for unknown depth
     idle: set[str] = set()  # would be refused where processes exchange gradients
 
     def note_idle(module: SnerlModule) -> None:

@@ -102,3 +102,32 @@ def test_a_pixel_changes_as_often_as_it_shows_another_class_than_usual():
     labels = np.array([[0, 1, 2], [0, 1, 1], [0, 1, 0], [0, 0, 2]])
     shown = np.stack([(labels == label).sum(0) for label in range(3)])[:, None, None]
     np.testing.assert_allclose(class_change(shown)[0, 0], [0.0, 0.25, 0.5])
+
+
+def test_what_does_not_count_tells_nothing_of_the_scene(tiny_dataset: Path, monkeypatch: pytest.MonkeyPatch):
+    """As if all but the robot were masked, in a dataset whose other pictures are of a table and a backdrop."""
+    dataset = MultiViewDataset(tiny_dataset)
+    whole, robot = measure(dataset, CONFIG), dataset.class_names.index("robot")
+    monkeypatch.setattr(MultiViewDataset, "read_valid", lambda self, frames: self.read_labels(frames) == robot)
+    found = measure(dataset, CONFIG)
+    frames, views = dataset.split("train"), dataset.views("encoder")
+    depth, labels = (read(frames)[:, views] for read in (lambda f: dataset.read("depth", f), dataset.read_labels))
+    assert found.distance == pytest.approx(np.median(depth[labels == robot]))
+    assert found.bounds.half_extent < 0.8 * whole.bounds.half_extent
+    weights = found.class_weights / found.class_weights.min()
+    assert weights.argmin() == robot and (np.delete(weights, robot) > 2).all(), "no other class was seen"
+
+
+def test_a_pixel_that_never_counts_does_not_change():
+    shown = np.zeros((2, 1, 1, 2), np.int64)
+    shown[:, 0, 0, 0] = 3, 1
+    assert class_change(shown).tolist() == [[[0.25, 0.0]]]
+
+
+def test_where_nothing_was_hit_there_is_no_surface_however_far_away_things_are(
+    tiny_dataset: Path, monkeypatch: pytest.MonkeyPatch
+):
+    dataset = MultiViewDataset(tiny_dataset)
+    farthest = float(dataset.read("depth").max())
+    monkeypatch.setitem(dataset.manifest, "far", farthest)
+    assert measure(dataset, CONFIG).bounds.far < farthest

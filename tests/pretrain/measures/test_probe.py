@@ -69,3 +69,16 @@ def test_a_dataset_of_another_scene_is_probed_and_told(
     first, *table = capsys.readouterr().out.splitlines()
     assert first == f"{tiny_encoder} was trained on {trained_on}, and {other} shows metaworld/faucet-open-v3"
     assert any(line.startswith("hand_x ") for line in table)
+
+
+def test_what_cannot_be_probed_does_not_cost_an_earlier_result(
+    tiny_dataset: Path, tiny_encoder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    encoder, out = Path(shutil.copytree(tiny_encoder, tmp_path / "encoder")), tmp_path / "probe"
+    words = ["probe", "--encoder", str(encoder), "--data", str(tiny_dataset), "--out", str(out)]
+    assert cli.main(words) == 0
+    before = (out / "summary.json").read_bytes()
+    (encoder / "encoder.safetensors").write_bytes(b"cut off")
+    assert cli.main(words) == 2 and "already exists" in capsys.readouterr().err
+    assert cli.main([*words, "--overwrite", "true"]) == 2
+    assert (out / "summary.json").read_bytes() == before

@@ -78,11 +78,17 @@ def make_plan(dataset: MultiViewDataset, config: ExportConfig) -> Plan:
     """Find out what there is to export.
 
     Raises:
-        UserError: the dataset does not hold whole episodes, or a key asks for what there is not.
+        UserError: the dataset does not hold whole episodes, or has pixels that do not count, or a key asks for what
+            there is not.
     """
     if config.frames or config.exclude or config.reach:
         raise UserError(
             "--format lerobot exports whole episodes as they were seen: leave out --frames, --exclude, --reach"
+        )
+    if dataset.read_valid([0]) is not None:
+        raise UserError(
+            f"{dataset.folder} has pixels that are masked or of unknown depth, for which LeRobot has no place; use "
+            "--format nerfstudio"
         )
     episodes = whole_episodes(dataset, config.episodes)
     fps = config.fps or steps_per_second(scene_name(dataset))

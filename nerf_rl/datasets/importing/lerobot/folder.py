@@ -22,6 +22,7 @@ from nerf_rl.datasets.importing.lerobot.videos import LABELS as LABEL_PIXELS
 from nerf_rl.datasets.importing.source import BACKGROUND, Source, SourceEpisode, SourceFrame
 from nerf_rl.datasets.importing.source_files import SourceDigest, file_inside
 from nerf_rl.datasets.storage import stored_manifest
+from nerf_rl.datasets.storage.frames import position_columns
 from nerf_rl.machine.extras import import_extra
 
 _GROUPS = {"proprio": "observation.state", "privileged": "privileged_state", "action": "action"}
@@ -111,7 +112,12 @@ class LeRobotSource(Source):
                 )
 
     def _values(self, rows: dict[str, ndarray], key: str, step: int) -> ndarray:
-        return rows[key][step].reshape(-1).astype(np.float32) if key in rows else np.zeros(0, np.float32)
+        if key not in rows:
+            return np.zeros(0, np.float32)
+        values = rows[key][step].reshape(-1).astype(np.float64)
+        if self._scale != 1.0 and key == _GROUPS["privileged"]:
+            values[position_columns(self.columns["privileged"])] *= self._scale
+        return values.astype(np.float32)
 
     def _poses(self, rows: dict[str, ndarray], step: int) -> Float[ndarray, "V 4 4"]:
         """Return where the cameras are at a step."""

@@ -49,8 +49,10 @@ def unbend(picture: ndarray, maps: tuple[ndarray, ndarray]) -> ndarray:
 
     What the bent picture does not show is zero.
     """
-    x, y = maps
-    return cv2.remap(picture, x, y, cv2.INTER_LINEAR if picture.ndim == 3 else cv2.INTER_NEAREST)
+    kind = cv2.INTER_LINEAR if picture.ndim == 3 else cv2.INTER_NEAREST
+    unbent = cv2.remap(picture, *maps, kind, borderMode=cv2.BORDER_REPLICATE)  # else the rim would be mixed with black
+    unbent[~shown(maps, *picture.shape[:2])] = 0
+    return unbent
 
 
 def shown(maps: tuple[ndarray, ndarray], height: int, width: int) -> Bool[ndarray, "H W"]:
