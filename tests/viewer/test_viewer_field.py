@@ -189,13 +189,16 @@ def test_the_mesh_goes_where_nothing_has_that_density(
     encoded: EncodedDataset, frame: Frame, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     triangle = np.eye(3), np.array([[0, 1, 2]]), np.zeros((3, 3))
-    found = iter([triangle, (np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros((0, 3)))])
-    monkeypatch.setattr("nerf_rl.viewer.field.field_panel.density_mesh", lambda field, level: next(found))
+    nothing = np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros((0, 3))
+    found = [triangle]
+    monkeypatch.setattr("nerf_rl.viewer.field.field_panel.density_mesh", lambda field, level: found[-1])
     with serve("127.0.0.1", 0, "test") as server:
         panel = FieldPanel(server, encoded.dataset.palette, (0.1, 2.0))
         panel.mode.value, panel._field = "density mesh", encoded.folded(encoded.latent(frame))
         shown = []
-        for _ in range(2):
+        for mesh in (triangle, nothing):
+            found.append(mesh)
+            panel._mesh_worker.wait(30.0)  # the choice of a mode has one drawn, too
             panel._draw_mesh(None, lambda: False)
             assert panel._mesh is not None
             shown.append(panel._mesh.visible)
