@@ -51,20 +51,26 @@ def same_content(first: Any, second: Any) -> bool:
 
     A key that one does not have yet counts as its default, and a digest of states as what the other one has.
     """
-    plans = [with_defaults(plan, GenDatasetConfig) for plan in (first, second)]
-    if not all(isinstance(plan, Mapping) and _STATES_SHA256 in plan for plan in plans):
-        plans = [command_keys(plan) if isinstance(plan, Mapping) else plan for plan in plans]
-    return plans[0] == plans[1]
+    first, second = _comparable(first, second)
+    return bool(first == second)
 
 
 def different_keys(paths: Iterable[Path], plan: Plan) -> list[str]:
-    """Return the names of what plans that were written down have otherwise than today's."""
-    today, found = with_defaults(plan, GenDatasetConfig), set()
+    """Return the names of what plans that were written down have otherwise than today's, for :func:`same_content`."""
+    found = set()
     for path in paths:
-        stored = with_defaults(_read(path), GenDatasetConfig) if path.is_file() else today
+        stored, today = _comparable(_read(path) if path.is_file() else plan, plan)
         if isinstance(stored, Mapping):
             found |= {key for key in stored.keys() | today.keys() if stored.get(key) != today.get(key)}
     return sorted(found)
+
+
+def _comparable(first: Any, second: Any) -> list[Any]:
+    """Return two plans with all keys that there are now, and with digests of states if both have one."""
+    plans = [with_defaults(plan, GenDatasetConfig) for plan in (first, second)]
+    if not all(isinstance(plan, Mapping) and _STATES_SHA256 in plan for plan in plans):
+        plans = [command_keys(plan) if isinstance(plan, Mapping) else plan for plan in plans]
+    return plans
 
 
 def begun_plan(paths: Iterable[Path], plan: Plan) -> Plan | None:
