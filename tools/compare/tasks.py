@@ -1,4 +1,4 @@
-"""Pretrain with the demo's recipes on several Meta-World tasks: a result file and a page's table.
+"""Pretrain with the demo's recipes on several Meta-World tasks: a result file of each task and a page's table.
 
 Run from a checkout's root; what is finished is not done again:
 
@@ -23,7 +23,8 @@ from tools.compare.pairs import ENDLESS
 from tools.page_tables import ENCODERS_PAGE, markdown_table, write_tables
 from tools.result_files import write_runs
 
-RESULT = Path("pretrain/results/tasks.json")
+RESULTS = Path("pretrain/results/tasks")
+"""a file for each task"""
 DATASET_RECIPE, RECIPE = "datasets/demo.yaml", "pretrain/demo.yaml"
 CEILING_STEPS = "1000"
 
@@ -36,18 +37,28 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=8.0)
     parser.add_argument("--threads", type=int, help="of a run; PyTorch's own choice if it is left out")
     parser.add_argument("--work", type=Path, default=Path("data/tasks"), help="folder of datasets and runs")
-    parser.add_argument("--table", type=Path, default=RESULT, help="result file, whose other rows stay")
+    parser.add_argument("--results", type=Path, default=RESULTS, help="folder of result files, whose other rows stay")
     arguments = parser.parse_args()
     for task in arguments.tasks:
         for seed in arguments.seeds:
-            row = {**run(task, seed, arguments), **made_by(arguments)}
-            known = read_json(arguments.table)["runs"] if arguments.table.exists() else []
-            others = [other for other in known if (other["task"], other["seed"]) != (task, seed)]
-            rows = sorted([*others, row], key=lambda row: (row["task"], row["seed"]))
-            command = "python -m tools.compare.tasks TASKS --seeds SEEDS --minutes MINUTES --threads THREADS"
-            write_runs(arguments.table, {"command": command, "recipes": [DATASET_RECIPE, RECIPE]}, rows)
-            if arguments.table == RESULT:
-                write_tables(ENCODERS_PAGE, {"tasks": table(rows)})
+            record({**run(task, seed, arguments), **made_by(arguments)}, arguments.results)
+
+
+def record(row: dict[str, Any], results: Path) -> None:
+    """Put a row in place of that of the same task and seed, and write its task's file and the table of all."""
+    others = [other for other in read_rows(results) if (other["task"], other["seed"]) != (row["task"], row["seed"])]
+    rows = sorted([*others, row], key=lambda row: (row["task"], row["seed"]))
+    command = "python -m tools.compare.tasks TASKS --seeds SEEDS --minutes MINUTES --threads THREADS"
+    head = {"command": command, "recipes": [DATASET_RECIPE, RECIPE]}
+    results.mkdir(parents=True, exist_ok=True)
+    write_runs(results / f"{row['task']}.json", head, [each for each in rows if each["task"] == row["task"]])
+    if results == RESULTS:
+        write_tables(ENCODERS_PAGE, {"tasks": table(rows)})
+
+
+def read_rows(results: Path) -> list[dict[str, Any]]:
+    """Return the rows of all tasks' files in a folder."""
+    return [row for file in sorted(results.glob("*.json")) for row in read_json(file)["runs"]]
 
 
 def run(task: str, seed: int, arguments: argparse.Namespace) -> dict[str, Any]:
