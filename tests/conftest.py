@@ -19,6 +19,8 @@ from nerf_rl.machine.processes import start_server
 from nerf_rl.scenes.base import Scene
 from nerf_rl.scenes.make import make_scene
 
+import warm_start  # isort: skip  # noqa: F401
+
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # started in the background: what tests start would ignore Ctrl-C
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -54,7 +56,9 @@ def server_of_workers() -> None:
         "tuning.worker",
         "pretrain.fitting",
     )
-    start_server([f"nerf_rl.{name}" for name in names])
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)  # which has warm_start
+        start_server([*(f"nerf_rl.{name}" for name in names), "warm_start"])
 
 
 @pytest.fixture(scope="session")

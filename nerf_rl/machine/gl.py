@@ -32,19 +32,25 @@ def use_one_software_thread() -> None:
 
 
 def renderer_name() -> str:
-    """Return the name that the implementation behind the current OpenGL context has for itself."""
-    from OpenGL import GL  # after mujoco, which tells it the backend
+    """Return the name that the implementation behind the current OpenGL context has for itself.
 
-    return GL.glGetString(GL.GL_RENDERER).decode()
+    By the functions themselves: the whole of ``OpenGL.GL`` would take each process a twentieth of a second to import.
+    """
+    from OpenGL.raw.GL.VERSION.GL_1_0 import GL_RENDERER, glGetString  # after mujoco, which tells it the backend
+
+    return ctypes.string_at(glGetString(GL_RENDERER)).decode()
 
 
 def largest_image() -> tuple[int, int]:
     """Return height and width of the largest off-screen image that the current OpenGL context can draw to [pixels]."""
-    from OpenGL import GL
+    from OpenGL.raw.GL.VERSION.GL_1_0 import GL_MAX_VIEWPORT_DIMS, glGetIntegerv
+    from OpenGL.raw.GL.VERSION.GL_3_0 import GL_MAX_RENDERBUFFER_SIZE
 
-    side = int(GL.glGetIntegerv(GL.GL_MAX_RENDERBUFFER_SIZE))
-    width, height = GL.glGetIntegerv(GL.GL_MAX_VIEWPORT_DIMS)
-    return min(side, int(height)), min(side, int(width))
+    side, sides = ctypes.c_int(), (ctypes.c_int * 2)()
+    glGetIntegerv(GL_MAX_RENDERBUFFER_SIZE, ctypes.byref(side))
+    glGetIntegerv(GL_MAX_VIEWPORT_DIMS, sides)
+    width, height = sides
+    return min(side.value, height), min(side.value, width)
 
 
 def is_software(renderer: str) -> bool:

@@ -10,7 +10,7 @@ import nbformat
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 NOTEBOOK = ROOT / "examples" / "from_scene_to_policy.ipynb"
 MOST_BYTES = 100_000
 MOST_SECONDS = 180  # of a cell; on two idle cores the whole notebook takes a minute
