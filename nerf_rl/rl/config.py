@@ -75,9 +75,10 @@ class NoiseConfig:
     wait_for_successes: Annotated[int, Limits(least=0, most=LATEST_EPISODES)] = 0
     """let exploration become less only once so many of the last 20 training episodes have succeeded, where the scene
     tells of success; 0 waits for none"""
+    wait_for_echoes: bool = True
+    """count echoes (echo_share) among those episodes"""
     renew_after: Natural = 0
-    """training episodes in a row without a success after which exploration is as at first again, and becomes less anew;
-    0: never"""
+    """training episodes in a row without a success after which exploration begins anew, as at first; 0: never"""
     retries: Literal["first", "drawn"] = "first"
     """standard deviation where a start that failed is tried again (retry_share): first (the first step's) or drawn
     (anew for each retry, between 0 and that), and never less than that of other episodes"""
@@ -348,12 +349,11 @@ class TrainRLConfig:
                 f"--replay.hindsight {self.replay.hindsight} computes the reward of a single step, and --action_repeat "
                 f"{self.action_repeat} sums those of so many; give --action_repeat 1"
             )
-        if self.echo_share and not self.retry_share:
-            raise UserError(f"--echo_share {self.echo_share} is of retries; give --retry_share, too")
-        if self.noise.retries != "first" and not self.retry_share:
-            raise UserError(f"--noise.retries {self.noise.retries} is of retries; give --retry_share, too")
-        if (held := self.noise.epsilon_z_retries) and not self.retry_share:
-            raise UserError(f"--noise.epsilon_z_retries {held} is of retries; give --retry_share, too")
+        of_retries = [("echo_share", self.echo_share), ("noise.epsilon_z_retries", self.noise.epsilon_z_retries)]
+        drawn = [("noise.retries", self.noise.retries)] if self.noise.retries != "first" else []
+        for key, value in [*of_retries, *drawn]:
+            if value and not self.retry_share:
+                raise UserError(f"--{key} {value} is of retries; give --retry_share, too")
 
     def content(self) -> dict[str, Any]:
         """Return the keys that must not change when a run is resumed."""

@@ -47,6 +47,7 @@ INGREDIENTS = {
     "held retries": ["--noise.epsilon_z_retries", "0.1"],
     "steady ends": ["--learner.steady_ends", "true"],
     "smaller networks": ["--network.hidden", "[128,256]"],
+    "echoes not counted": ["--noise.wait_for_echoes", "false"],
     "renewed exploration": ["--noise.renew_after", "20"],
     "from one success": ["--noise.wait_for_successes", "1"],
     "last weights": ["--learner.policy_average", "0"],

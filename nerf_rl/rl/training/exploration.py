@@ -22,8 +22,9 @@ class Exploration:
     """Turns a policy's actions into those of training: noise is added, and some of them are held random ones.
 
     Both become less by the clock, which begins once ``noise.wait_for_successes`` of the latest training episodes have
-    succeeded: an agent that found a place of rest first is to look further, and one success may be luck. So may be two:
-    after ``noise.renew_after`` failures in a row it is as at first again.
+    succeeded: an agent that found a place of rest first is to look further, and one success may be luck, as may its
+    echo be, which does the same again (``noise.wait_for_echoes``). So may be two: after ``noise.renew_after`` failures
+    in a row it is as at first again.
 
     Args:
         config: of the run.
@@ -74,8 +75,16 @@ class Exploration:
         self._least_held[env] = self._config.epsilon_z_retries if again else 0.0
         self._held.reset(env, self._decayed(self._config.epsilon_z_start, env_step))
 
-    def end_episode(self, success: bool | None, env_step: int) -> None:
-        """Take note of how an episode ended; None where the scene does not tell, which is nothing to wait for."""
+    def end_episode(self, success: bool | None, env_step: int, echoed: bool = False) -> None:
+        """Take note of how an episode ended; None where the scene does not tell, which is nothing to wait for.
+
+        Args:
+            success: whether it had one.
+            env_step: now.
+            echoed: its success may be luck once more, since it did again what had succeeded.
+        """
+        if echoed and not self._config.wait_for_echoes:
+            return
         if not self._awaits_success:
             self._failures = 0 if success is None or success else self._failures + 1
             if self._config.renew_after and self._failures >= self._config.renew_after:

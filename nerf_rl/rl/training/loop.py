@@ -309,7 +309,7 @@ class Trainer:
             success = bool(self._success[env]) if self._tells else None
             self._echoes.end(env, bool(success))
             self._curriculum.end(env, success)
-            self._exploration.end_episode(success, self.env_steps)
+            self._exploration.end_episode(success, self.env_steps, bool(self._curriculum.echoed[env]))
             self._zoo.add_episode(
                 float(self._returns[env]), int(self._length[env]), self.seconds, success, self.env_steps
             )

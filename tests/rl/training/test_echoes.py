@@ -13,6 +13,7 @@ from nerf_rl.errors import MissingFileError
 from nerf_rl.rl.training.curriculum import Curriculum
 from nerf_rl.rl.training.curves import MetricsLog
 from nerf_rl.rl.training.echoes import Echoes
+from nerf_rl.rl.training.exploration import Exploration
 from nerf_rl.rl.training.loop import Trainer
 
 NO, YES = np.array([False]), np.array([True])
@@ -182,8 +183,16 @@ def test_a_run_echoes_what_succeeded_and_resumes_to_the_same_actions(
         told.extend(figures.keys() & {"episode_return", "echo_success"})
         gather(self, figures)
 
+    explored: list[bool] = []
+    end_episode = Exploration.end_episode
+
+    def ended(self: Exploration, success: bool | None, env_step: int, echoed: bool = False) -> None:
+        explored.append(echoed)
+        end_episode(self, success, env_step, echoed)
+
     monkeypatch.setattr(Curriculum, "begin", noted)
     monkeypatch.setattr(MetricsLog, "gather", read)
+    monkeypatch.setattr(Exploration, "end_episode", ended)
     (tmp_path / "whole").mkdir()
     keys = {"episode_steps": 12, "retry_share": 0.9, "echo_share": 0.9}
     whole = Trainer(config(tmp_path / "whole", **keys), envs, tmp_path / "whole")
@@ -196,6 +205,7 @@ def test_a_run_echoes_what_succeeded_and_resumes_to_the_same_actions(
     assert any(echoed) and not all(echoed)
     episodes = len((tmp_path / "whole" / "monitor.csv").read_text().splitlines()) - 2
     assert len(told) == episodes and 0 < told.count("echo_success") <= sum(echoed), "figures are of the policy's own"
+    assert len(explored) == episodes and sum(explored) == told.count("echo_success")
     resumed = Trainer(config(tmp_path / "whole", **keys, resume=True), envs, tmp_path / "whole")
     train(resumed, 480)
     assert torch.equal(resumed.replay.rows(0, resumed.replay.stored), rows)

@@ -33,6 +33,21 @@ def test_one_success_may_be_luck_and_two_of_the_last_20_episodes_are_not(between
     assert made.scale(last + 500) == pytest.approx(0.5 if enough else 0.75), "what has begun goes on"
 
 
+@pytest.mark.parametrize("counted", [True, False])
+def test_the_echo_of_a_success_may_be_the_same_luck_again(counted: bool) -> None:
+    noise = NoiseConfig(decay_steps=1000, wait_for_successes=2, wait_for_echoes=counted, renew_after=3)
+    made = Exploration(TrainRLConfig(out="x", noise=noise), 2, 3, np.random.default_rng(0))
+    made.end_episode(True, 100)
+    made.end_episode(True, 200, echoed=True)
+    assert (made.scale(1200) < 1.0) == counted
+    made.end_episode(True, 1200)
+    assert made.scale(2200) < 1.0
+    for number in range(3):
+        made.end_episode(False, 2200)
+        made.end_episode(True, 2200, echoed=True)
+        assert (made.scale(2200) < 1.0) == (counted or number < 2), "nor does it say that all is well"
+
+
 @pytest.mark.parametrize("kind", ["gaussian", "pink"])
 def test_episodes_without_an_end_need_no_memory_without_an_end(kind: str) -> None:
     config = TrainRLConfig(out="x", episode_steps=10**9, action_repeat=1, noise=NoiseConfig(kind=kind))
