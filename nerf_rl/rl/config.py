@@ -75,10 +75,9 @@ class NoiseConfig:
     wait_for_successes: Annotated[int, Limits(least=0, most=LATEST_EPISODES)] = 0
     """let exploration become less only once so many of the last 20 training episodes have succeeded, where the scene
     tells of success; 0 waits for none"""
-    wait_for_echoes: bool = True
-    """count echoes (echo_share) among those episodes"""
     renew_after: Natural = 0
-    """training episodes in a row without a success after which exploration begins anew, as at first; 0: never"""
+    """training episodes in a row, but for echoes (echo_share), without a success after which exploration is as at first
+    again, and becomes less anew; 0: never"""
     retries: Literal["first", "drawn"] = "first"
     """standard deviation where a start that failed is tried again (retry_share): first (the first step's) or drawn
     (anew for each retry, between 0 and that), and never less than that of other episodes"""

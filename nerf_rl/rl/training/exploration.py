@@ -22,9 +22,9 @@ class Exploration:
     """Turns a policy's actions into those of training: noise is added, and some of them are held random ones.
 
     Both become less by the clock, which begins once ``noise.wait_for_successes`` of the latest training episodes have
-    succeeded: an agent that found a place of rest first is to look further, and one success may be luck, as may its
-    echo be, which does the same again (``noise.wait_for_echoes``). So may be two: after ``noise.renew_after`` failures
-    in a row it is as at first again.
+    succeeded: an agent that found a place of rest first is to look further, and one success may be luck. So may be two,
+    all the more where the second is an echo of the first: after ``noise.renew_after`` failures in a row, whatever
+    echoes do meanwhile, it is as at first again.
 
     Args:
         config: of the run.
@@ -81,11 +81,11 @@ class Exploration:
         Args:
             success: whether it had one.
             env_step: now.
-            echoed: its success may be luck once more, since it did again what had succeeded.
+            echoed: it did again what had succeeded, which tells nothing of what the policy can do by now.
         """
-        if echoed and not self._config.wait_for_echoes:
-            return
         if not self._awaits_success:
+            if echoed:
+                return
             self._failures = 0 if success is None or success else self._failures + 1
             if self._config.renew_after and self._failures >= self._config.renew_after:
                 self.begin(env_step)

@@ -33,19 +33,16 @@ def test_one_success_may_be_luck_and_two_of_the_last_20_episodes_are_not(between
     assert made.scale(last + 500) == pytest.approx(0.5 if enough else 0.75), "what has begun goes on"
 
 
-@pytest.mark.parametrize("counted", [True, False])
-def test_the_echo_of_a_success_may_be_the_same_luck_again(counted: bool) -> None:
-    noise = NoiseConfig(decay_steps=1000, wait_for_successes=2, wait_for_echoes=counted, renew_after=3)
+def test_what_an_echo_does_says_nothing_of_whether_exploration_may_be_over() -> None:
+    noise = NoiseConfig(decay_steps=1000, wait_for_successes=2, renew_after=3)
     made = Exploration(TrainRLConfig(out="x", noise=noise), 2, 3, np.random.default_rng(0))
-    made.end_episode(True, 100)
-    made.end_episode(True, 200, echoed=True)
-    assert (made.scale(1200) < 1.0) == counted
-    made.end_episode(True, 1200)
-    assert made.scale(2200) < 1.0
-    for number in range(3):
-        made.end_episode(False, 2200)
-        made.end_episode(True, 2200, echoed=True)
-        assert (made.scale(2200) < 1.0) == (counted or number < 2), "nor does it say that all is well"
+    for success in (True, True, False, False, True, False, False):
+        made.end_episode(success, 100)
+    for success in (True, False, False):
+        made.end_episode(success, 1100, echoed=True)
+    assert made.scale(1100) == pytest.approx(noise.end)
+    made.end_episode(False, 1100)
+    assert made.scale(9100) == noise.start
 
 
 @pytest.mark.parametrize("kind", ["gaussian", "pink"])
