@@ -348,11 +348,12 @@ class TrainRLConfig:
                 f"--replay.hindsight {self.replay.hindsight} computes the reward of a single step, and --action_repeat "
                 f"{self.action_repeat} sums those of so many; give --action_repeat 1"
             )
-        of_retries = [("echo_share", self.echo_share), ("noise.epsilon_z_retries", self.noise.epsilon_z_retries)]
-        drawn = [("noise.retries", self.noise.retries)] if self.noise.retries != "first" else []
-        for key, value in [*of_retries, *drawn]:
-            if value and not self.retry_share:
-                raise UserError(f"--{key} {value} is of retries; give --retry_share, too")
+        if self.echo_share and not self.retry_share:
+            raise UserError(f"--echo_share {self.echo_share} is of retries; give --retry_share, too")
+        if self.noise.retries != "first" and not self.retry_share:
+            raise UserError(f"--noise.retries {self.noise.retries} is of retries; give --retry_share, too")
+        if (held := self.noise.epsilon_z_retries) and not self.retry_share:
+            raise UserError(f"--noise.epsilon_z_retries {held} is of retries; give --retry_share, too")
 
     def content(self) -> dict[str, Any]:
         """Return the keys that must not change when a run is resumed."""

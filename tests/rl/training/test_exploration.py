@@ -38,7 +38,7 @@ def test_what_an_echo_does_says_nothing_of_whether_exploration_may_be_over() -> 
     made = Exploration(TrainRLConfig(out="x", noise=noise), 2, 3, np.random.default_rng(0))
     for success in (True, True, False, False, True, False, False):
         made.end_episode(success, 100)
-    for success in (True, False, False):
+    for success in (False, False, True):
         made.end_episode(success, 1100, echoed=True)
     assert made.scale(1100) == pytest.approx(noise.end)
     made.end_episode(False, 1100)
