@@ -2,7 +2,7 @@
 
 Run from a checkout's root:
 
-    .venv/bin/python -m tools.compare.episodes
+    .venv/bin/python -m tools.record.episodes
 
 Both rounds are of `tools.compare.tasks`, with the same seeds, minutes and threads on the same kind of processor, and of
 encoders without landmarks; the revisions in the files have the recipes that they are of.
