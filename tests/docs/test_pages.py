@@ -13,6 +13,7 @@ from world import SMALLER, commands_of
 
 from nerf_rl.cli import COMMANDS
 from nerf_rl.viewer.subject import RESUMED
+from tools.compare import tasks
 from tools.page_tables import AGENTS_PAGE, write_tables
 from tools.record import choices, recipe_agents
 
@@ -141,6 +142,19 @@ def test_the_tables_of_the_recipes_agents_hold_what_the_result_files_say() -> No
     for page, text in told.items():
         assert f"<!-- table: {text}" in (ROOT / page).read_text(), f"run tools/record/recipe_agents.py for {page}"
     assert table.count("\n") > 8 and summary.count("\n") > 6
+
+
+def test_what_an_encoder_misses_is_what_is_read_farther_off_or_found_less_than_asked() -> None:
+    def probe(**columns: float) -> dict[str, dict[str, float]]:
+        return {name: {"rmse_mm": error} for name, error in columns.items()}
+
+    row = {
+        "probe": probe(hand_x=6.1, hand_y=5.9, handle_x=5.9, object_x=7.4, object_y=7.6, goal_x=4.9),
+        "probe_supervised_encoder": probe(hand_x=9.0, hand_y=1.0, handle_x=4.0, object_x=6.0, object_y=6.0, goal_x=1.0),
+        "class_iou": {"robot": 0.59, "drawer": 0.61, "gripper": 0.41, "ball": 0.39, "unseen": None},
+        "class_share": {"robot": 0.01, "drawer": 0.01, "gripper": 0.009, "ball": 0.009, "unseen": 0.5},
+    }
+    assert tasks.misses(row) == ["hand_x", "handle_x", "object_y", "robot", "ball"]
 
 
 def test_a_summary_of_seeds_tells_their_mean_and_the_worst() -> None:
