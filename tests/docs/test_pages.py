@@ -13,7 +13,8 @@ from world import SMALLER, commands_of
 
 from nerf_rl.cli import COMMANDS
 from nerf_rl.viewer.subject import RESUMED
-from tools.compare import tasks
+from tools.compare import ablation, tasks
+from tools.compare.agent_runs import read_entries
 from tools.page_tables import AGENTS_PAGE, write_tables
 from tools.record import choices, recipe_agents
 
@@ -142,6 +143,14 @@ def test_the_tables_of_the_recipes_agents_hold_what_the_result_files_say() -> No
     for page, text in told.items():
         assert f"<!-- table: {text}" in (ROOT / page).read_text(), f"run tools/record/recipe_agents.py for {page}"
     assert table.count("\n") > 8 and summary.count("\n") > 6
+
+
+def test_the_table_of_what_was_left_out_holds_what_the_result_file_says() -> None:
+    entries = read_entries(ROOT / ablation.RESULT, "ablation")
+    table = ablation.table(entries)
+    assert f"<!-- table: ablation -->\n{table}\n<!-- end -->" in (ROOT / AGENTS_PAGE).read_text()
+    for entry in entries:
+        assert entry["keys"] == ablation.WITHOUT[entry["without"]], "they are of keys that say something else by now"
 
 
 def test_what_an_encoder_misses_is_what_is_read_farther_off_or_found_less_than_asked() -> None:

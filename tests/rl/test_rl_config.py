@@ -1,6 +1,8 @@
 """Mistakes in the keys of train-rl and evaluate, by the words of their answers; the shipped recipes."""
 
 import dataclasses
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 
 import pytest
@@ -8,6 +10,7 @@ import yaml
 
 from nerf_rl import cli
 from nerf_rl.errors import UserError
+from tools.compare import ablation
 from tools.compare.agent_runs import read_entries
 from tools.compare.agents import LATENTS, result_file
 from tools.record.recipe_agents import ARM
@@ -152,6 +155,18 @@ def test_the_recipe_of_50_000_steps_learns_as_the_agents_that_its_figures_are_of
         for name in ("evaluation_every", "evaluation_episodes", "final_evaluation_episodes", "checkpoint_every")
     }
     assert dataclasses.replace(shipped, **intervals) == measured
+
+
+@pytest.mark.parametrize("ingredient", ablation.WITHOUT)
+def test_what_an_ablation_leaves_out_is_in_the_recipe_and_nothing_else_changes(ingredient: str) -> None:
+    recipe, keys = ["--config", str(ROOT / ablation.RECIPE), "--out", "x"], ablation.WITHOUT[ingredient]
+    whole, without = (cli.parse("train-rl", [*recipe, *more]).content() for more in ([], keys))
+    names = [key.removeprefix("--").split(".") for key in keys[::2]]
+    before, after = ([reduce(getitem, name, content) for name in names] for content in (whole, without))
+    assert all(one != other for one, other in zip(before, after, strict=True))
+    for *groups, name in names:
+        reduce(getitem, groups, without)[name] = reduce(getitem, groups, whole)[name]
+    assert without == whole
 
 
 EXPERIMENTS = yaml.safe_load((ROOT / "rl" / "paper" / "experiments.yaml").read_text())["experiments"]
