@@ -24,7 +24,6 @@ from nerf_rl.rendering.following import Followers, Following
 from nerf_rl.scenes.base import Scene
 from nerf_rl.scenes.workspace import Workspace
 
-ROLES = ("encoder", "supervision", "test")
 _SPREAD = 1 / 7  # of random look-at points, in radii of the workspace
 _NEAREST = 0.05  # to what a camera shows, at most so near [m]
 _DISTANCES = (0.8, 1.2)  # of random cameras, in fitted distances

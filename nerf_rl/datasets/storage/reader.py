@@ -17,6 +17,7 @@ from nerf_rl.cameras.geometry import projection_matrix
 from nerf_rl.cameras.tracking_frame import TrackingFrame, to_tracking_frame
 from nerf_rl.datasets.storage.shard_layout import ArrayLocation, ShardError, known_arrays, locate_arrays
 from nerf_rl.datasets.storage.shards import SPLIT_NAMES, read_manifest, read_unfinished
+from nerf_rl.datasets.storage.stored_manifest import ROLES
 from nerf_rl.errors import MissingFileError, UnknownNameError, UserError
 
 _MOST_OPEN_FILES = 128  # a large dataset has more shards than a process may have open files
@@ -101,11 +102,23 @@ class MultiViewDataset:
         return hashlib.sha256(digests.encode()).hexdigest()
 
     def views(self, *roles: str) -> list[int]:
-        """Return the positions on the view axis of the cameras with one of the roles."""
+        """Return the positions on the view axis of the cameras with one of the roles.
+
+        Raises:
+            UnknownNameError: no camera of any dataset has such a role.
+        """
+        if unknown := sorted(set(roles) - set(ROLES)):
+            raise UnknownNameError("role", unknown[0], ROLES)
         return [i for i, camera in enumerate(self.manifest["cameras"]) if camera["role"] in roles]
 
     def columns(self, group: str) -> tuple[str, ...]:
-        """Return the column names of ``proprio``, ``privileged`` or ``action``."""
+        """Return the column names of ``proprio``, ``privileged`` or ``action``.
+
+        Raises:
+            UnknownNameError: there is no such group.
+        """
+        if group not in self.manifest["columns"]:
+            raise UnknownNameError("group of columns", group, self.manifest["columns"])
         return tuple(self.manifest["columns"][group])
 
     @property

@@ -212,6 +212,14 @@ def test_an_unknown_array_is_answered_with_the_names(folder: Path):
         MultiViewDataset(folder).read("state/qpso", [0])
 
 
+def test_an_unknown_role_or_group_of_columns_is_answered_with_the_names(folder: Path):
+    dataset = MultiViewDataset(folder)
+    with pytest.raises(UnknownNameError, match=r"unknown role 'encodr' .*did you mean encoder"):
+        dataset.views("test", "encodr")
+    with pytest.raises(UnknownNameError, match=r"unknown group of columns 'propio' .*did you mean proprio"):
+        dataset.columns("propio")
+
+
 @pytest.mark.parametrize("frames", [[-1], [0, 9], []])
 def test_frames_that_there_are_not_are_an_error(folder: Path, frames: list[int]):
     with pytest.raises(IndexError, match="some of 0 to 8"):
