@@ -5,7 +5,7 @@ Run from a checkout's root; seeds that are finished are not trained again:
     .venv/bin/python -m tools.compare.ablation --seeds 0..9
     .venv/bin/python -m tools.compare.ablation --scene metaworld/door-open-v3 --without nothing "echoes of successes"
 
-Agents see the true state: what is compared is how they learn.
+Agents see the true state unless there is an encoder: what is compared is how they learn.
 """
 
 import argparse
@@ -17,8 +17,9 @@ from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.rl.sweeps.runs import GOOD, run_folder
 from nerf_rl.rl.sweeps.seed_list import parse_seeds
 from tools.compare.agent_runs import KEYS, ON_THE_WAY, put_runs, row, train
+from tools.compare.agents import LATENTS, STATE
 from tools.page_tables import AGENTS_PAGE, markdown_table, task_name, write_tables
-from tools.record.recipe_agents import WHOLE, after, rates
+from tools.record.recipe_agents import EYES, WHOLE, after, rates
 
 RECIPE, RESULT = Path("rl/drawer-open.yaml"), Path("rl/results/ablation.json")
 WITHOUT = {
@@ -58,47 +59,51 @@ def main() -> None:
     """Train what is missing, then write what is known of all ingredients that were ever left out."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", default="metaworld/drawer-open-v3")
+    parser.add_argument("--encoder", default="", help="what the agents see by; none for the true state")
     parser.add_argument("--seeds", default="0..9", help="as train-rl takes them")
     parser.add_argument("--without", nargs="+", default=list(WITHOUT), choices=WITHOUT, help="what is left out")
     parser.add_argument("--work", type=Path, default=Path("runs/ablation"), help="folder of the runs")
     arguments = parser.parse_args()
+    sees = ["--encoder", arguments.encoder] if arguments.encoder else []
+    eyes = LATENTS if arguments.encoder else STATE
     for ingredient in arguments.without:
-        folder = arguments.work / Path(arguments.scene).name / ingredient.replace(" ", "-").replace(",", "")
+        compared = f"{Path(arguments.scene).name}-{EYES[eyes]}".replace(" ", "-")
+        folder = arguments.work / compared / ingredient.replace(" ", "-").replace(",", "")
         runs = [run_folder(folder, seed) for seed in parse_seeds(arguments.seeds)]
         if not all((run / SUMMARY).exists() for run in runs):
-            words = ["--config", str(RECIPE), "--scene", arguments.scene, *KEYS, *WITHOUT[ingredient]]
+            words = ["--config", str(RECIPE), "--scene", arguments.scene, *sees, *KEYS, *WITHOUT[ingredient]]
             train([*words, "--seeds", arguments.seeds, "--out", str(folder)])
-        record(arguments.scene, ingredient, [row(run) for run in runs])
+        record(arguments.scene, eyes, ingredient, [row(run) for run in runs])
 
 
-def record(scene: str, ingredient: str, runs: list[dict[str, Any]]) -> None:
+def record(scene: str, eyes: str, ingredient: str, runs: list[dict[str, Any]]) -> None:
     """Put runs in place of those of the same seeds, and write file and table."""
     command = f"python -m tools.compare.ablation; {RECIPE} with {' '.join(KEYS)}"
-    what, keys = {"scene": scene, "without": ingredient}, {"keys": WITHOUT[ingredient]}
+    what, keys = {"scene": scene, "eyes": eyes, "without": ingredient}, {"keys": WITHOUT[ingredient]}
     entries = put_runs(RESULT, "ablation", {"command": command}, what, keys, runs, order)
     write_tables(AGENTS_PAGE, {"ablation": table(entries)})
 
 
-def order(entry: dict[str, Any]) -> tuple[str, int]:
+def order(entry: dict[str, Any]) -> tuple[str, str, int]:
     """Return what entries are sorted by."""
-    return entry["scene"], list(WITHOUT).index(entry["without"])
+    return entry["scene"], entry["eyes"], list(WITHOUT).index(entry["without"])
 
 
 def table(entries: list[dict[str, Any]]) -> str:
-    """Return a row for each task and ingredient, the one that is missed most first: success of its seeds, sorted."""
+    """Return a row for each task, eyes and ingredient, the one that is missed most first."""
     rows = []
     for entry in entries:
         successes = [after(entry["runs"], steps) for steps in (ON_THE_WAY, WHOLE)]
         means = [statistics.mean(each) for each in successes]
-        cells = [task_name(entry["scene"]), entry["without"]]
+        cells = [task_name(entry["scene"]), EYES[entry["eyes"]], entry["without"]]
         for mean, each in zip(means, successes, strict=True):
             good = f"{sum(rate >= GOOD for rate in each)} of {len(each)}"
             cells += [f"{100 * mean:.0f}", good, rates(each)]
-        rows.append((entry["scene"], sum(means), cells))
+        rows.append((entry["scene"], entry["eyes"], sum(means), cells))
     columns = [
         f"{what} after {steps:,}" for steps in (ON_THE_WAY, WHOLE) for what in ("mean", f"at {GOOD:.0%}", "each")
     ]
-    return markdown_table(["task", "without", *columns], [cells for *_, cells in sorted(rows)])
+    return markdown_table(["task", "from", "without", *columns], [cells for *_, cells in sorted(rows)])
 
 
 if __name__ == "__main__":
