@@ -8,7 +8,7 @@ from nerf_rl.datasets.storage.shards import PARTS, UNFINISHED
 from nerf_rl.errors import MissingFileError
 from nerf_rl.files.outputs import PROVENANCE, SUMMARY, command_of
 from nerf_rl.pretrain.model.encoder_file import DESCRIPTION
-from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION
+from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION, told_of_seeds
 
 _MARKS = {"dataset": "manifest.json", "encoder": DESCRIPTION, "agent": POLICY_DESCRIPTION}
 _PLAN = "plan.json"
@@ -52,9 +52,8 @@ def _told_by_other_files(path: Path, folder: Path) -> str:
         return "it is an unfinished dataset (finish it with --resume true)"
     if not (folder / PROVENANCE).is_file():
         return _told_by_contents(path) if path.is_dir() else "its files are others"
-    seeds = sorted(folder.glob(f"seed-*/{POLICY_DESCRIPTION}"))
-    if seeds:
-        return f"it holds runs of several seeds; give the folder of one, such as {seeds[0].parent}"
+    if told := told_of_seeds(folder):
+        return "; ".join(told)
     command = command_of(folder)
     if command is None:
         return f"its {PROVENANCE} is damaged"

@@ -115,6 +115,14 @@ def check_policy(run: Path, encoder: str = "") -> dict[str, Any]:
     return description
 
 
+def told_of_seeds(folder: Path) -> tuple[str, str] | None:
+    """Return why a sweep's folder is no run, and what to give in its place; None if it is no such folder."""
+    policies = sorted(folder.glob(f"seed-*/{POLICY_DESCRIPTION}"))
+    if not policies:
+        return None
+    return "it holds runs of several seeds", f"give the folder of one, such as {policies[0].parent}"
+
+
 def _encoder_of(run: Path, named: str) -> str:
     """Return where a policy's encoder is: what it says, which is relative to its own folder where it brings its own."""
     return named if is_address(named) else str(run / named)
@@ -123,8 +131,9 @@ def _encoder_of(run: Path, named: str) -> str:
 def _read_policy(run: Path) -> dict[str, Any]:
     for name in (POLICY_DESCRIPTION, POLICY_WEIGHTS):
         if not (run / name).is_file():
-            remedy = "train one with nerf-rl train-rl"
-            raise MissingFileError("a train-rl run with a policy", run, f"it holds no {name}", remedy)
+            missing = f"it holds no {name}", "train one with nerf-rl train-rl"
+            reason, remedy = told_of_seeds(run) or missing
+            raise MissingFileError("a train-rl run with a policy", run, reason, remedy)
     remedy = "train it again"
     try:
         description = read_json(run / POLICY_DESCRIPTION)

@@ -178,6 +178,14 @@ def test_a_folder_with_a_sweep_is_not_taken_for_anything_else(
     assert sorted(path.stat().st_mtime_ns for path in undisturbed.rglob("*")) == before
 
 
+def test_where_one_run_is_asked_for_a_sweep_names_those_that_it_holds(
+    undisturbed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert cli.main(["evaluate", "--run", str(undisturbed), "--out", str(tmp_path / "evaluation")]) == 2
+    sentence = f"it holds runs of several seeds; give the folder of one, such as {undisturbed / 'seed-0'}"
+    assert sentence in capsys.readouterr().err
+
+
 def test_a_sweep_of_a_baseline_whose_runs_have_ended_is_not_made_longer(
     undisturbed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
