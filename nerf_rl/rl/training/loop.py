@@ -50,7 +50,8 @@ class Trainer:
     """Trains an agent on parallel environments.
 
     Episodes are broken off (as truncations) at every evaluation and checkpoint, and new ones are started. All that a
-    checkpoint has to hold is thereby in this process, and a resumed run repeats the uninterrupted one exactly.
+    checkpoint has to hold is thereby in this process, and a resumed run repeats the uninterrupted one exactly. What had
+    succeeded by then counts as a success; what had not, as nothing.
 
     Args:
         config: of the run.
@@ -157,7 +158,10 @@ class Trainer:
         for env, n_step in enumerate(self._n_steps):
             self.replay.add(n_step.cut(), env)
             self.replay.end_episode(env, self._value())
-            self._curriculum.break_off(env)
+            if self._success[env]:
+                self._learn_of_end(env, True)
+            else:
+                self._curriculum.break_off(env)
         for hindsight in self._hindsight:
             self.replay.add(hindsight.cut())
         self.episodes += int((self._length > 0).sum())
@@ -307,19 +311,25 @@ class Trainer:
             self.episodes += 1
             self.replay.end_episode(env, self._value())
             success = bool(self._success[env]) if self._tells else None
-            self._echoes.end(env, bool(success))
-            self._curriculum.end(env, success)
-            self._exploration.end_episode(success, self.env_steps, bool(self._curriculum.echoed[env]))
+            self._learn_of_end(env, success)
             self._zoo.add_episode(
                 float(self._returns[env]), int(self._length[env]), self.seconds, success, self.env_steps
             )
             if self._curriculum.echoed[env]:  # tells nothing of the policy
                 self.metrics.gather({"echo_success": float(self._success[env])})
                 continue
-            self._monitor.end_episode(self.env_steps, float(self._returns[env]), success)
             figures = {"episode_return": self._returns[env], "episode_length": float(self._length[env])}
             self.metrics.gather(figures | ({"episode_success": float(self._success[env])} if self._tells else {}))
         return self._restart(done)
+
+    def _learn_of_end(self, env: int, success: bool | None) -> None:
+        """Tell all that watch training how an environment's episode ended; None where the scene does not tell."""
+        echoed = bool(self._curriculum.echoed[env])
+        self._echoes.end(env, bool(success))
+        self._curriculum.end(env, success)
+        self._exploration.end_episode(success, self.env_steps, echoed)
+        if not echoed:  # which tells nothing of the policy
+            self._monitor.end_episode(self.env_steps, float(self._returns[env]), success)
 
     def _explore(self, observation: Float[ndarray, "E O"]) -> Float[ndarray, "E A"]:
         """Return random actions in the warm-up, then some around the policy's."""

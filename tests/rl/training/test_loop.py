@@ -253,6 +253,23 @@ def test_exploration_waits_for_a_success_where_the_scene_tells_of_it(
         envs.close(terminate=True)
 
 
+def test_no_success_is_lost_where_every_episode_is_broken_off(tmp_path: Path) -> None:
+    """As with evaluations that come more often than episodes end."""
+    made = config(tmp_path, retry_share=0.5, echo_share=0.5)
+    made.noise.wait_for_successes = 2
+    envs = point_envs(2, steps=12)
+    try:
+        trainer = Trainer(made, envs, tmp_path)
+        for until in range(8, 800, 8):
+            train(trainer, until)
+        trainer.replay.close()
+    finally:
+        envs.close(terminate=True)
+    assert trainer.episodes == 2 * len(range(8, 800, 8)), "none came to its end"
+    assert trainer._exploration.elapsed(trainer.env_steps) > 0 and trainer._monitor.stuck_for(trainer.env_steps) < 400
+    assert len(trainer._echoes) > 2 and any(trainer._curriculum.state_dict()["recent"])
+
+
 def test_an_agent_that_stays_stuck_starts_anew_from_its_memory_and_a_resumed_run_does_so_too(
     envs: AsyncVectorEnv, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
