@@ -42,6 +42,7 @@ WITHOUT = {
     "held actions": ["--noise.epsilon_z", "0", "--noise.epsilon_z_start", "0"],
     "less noise, drawn in retries": ["--noise.decay_steps", "10000", "--noise.retries", "first"],
     "noise that waits for successes": ["--noise.wait_for_successes", "0"],
+    "early renewal": ["--noise.renew_after", "0"],
     "pink noise": ["--noise.kind", "gaussian"],
     "early ends after success": ["--steps_after_success", "null"],
     "overtime after success": ["--success_overtime", "0"],
