@@ -13,10 +13,8 @@ import statistics
 from pathlib import Path
 from typing import Any
 
-from nerf_rl.files.outputs import SUMMARY
-from nerf_rl.rl.sweeps.runs import GOOD, run_folder
-from nerf_rl.rl.sweeps.seed_list import parse_seeds
-from tools.compare.agent_runs import KEYS, ON_THE_WAY, put_runs, row, train
+from nerf_rl.rl.sweeps.runs import GOOD
+from tools.compare.agent_runs import KEYS, ON_THE_WAY, put_runs, row, trained
 from tools.compare.agents import LATENTS, STATE
 from tools.page_tables import AGENTS_PAGE, markdown_table, task_name, write_tables
 from tools.record.recipe_agents import EYES, WHOLE, after, rates
@@ -70,10 +68,8 @@ def main() -> None:
     for ingredient in arguments.without:
         compared = f"{Path(arguments.scene).name}-{EYES[eyes]}".replace(" ", "-")
         folder = arguments.work / compared / ingredient.replace(" ", "-").replace(",", "")
-        runs = [run_folder(folder, seed) for seed in parse_seeds(arguments.seeds)]
-        if not all((run / SUMMARY).exists() for run in runs):
-            words = ["--config", str(RECIPE), "--scene", arguments.scene, *sees, *KEYS, *WITHOUT[ingredient]]
-            train([*words, "--seeds", arguments.seeds, "--out", str(folder)])
+        words = ["--config", str(RECIPE), "--scene", arguments.scene, *sees, *KEYS, *WITHOUT[ingredient]]
+        runs = trained(folder, arguments.seeds, words)
         record(arguments.scene, eyes, ingredient, [row(run) for run in runs])
 
 

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from nerf_rl.files.json_files import read_json
-from nerf_rl.files.outputs import PROVENANCE
+from nerf_rl.files.outputs import PROVENANCE, SUMMARY
 from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION
-from nerf_rl.rl.sweeps.runs import read_run
+from nerf_rl.rl.sweeps.runs import read_run, run_folder
+from nerf_rl.rl.sweeps.seed_list import parse_seeds
 from nerf_rl.rl.training.evaluation_results import HIGH, LOW
 from tools.result_files import Lines
 
@@ -29,6 +30,14 @@ def train(arguments: list[str]) -> None:
     recipe = [] if arguments[0] == "--config" else ["--config", RECIPE]
     command = [sys.executable, "-m", "nerf_rl.cli", "train-rl", *recipe, *arguments, "--resume", "true"]
     subprocess.run(command, check=True)
+
+
+def trained(folder: Path, seeds: str, arguments: list[str]) -> list[Path]:
+    """Return the run folders of a sweep, whose seeds are trained if any is missing."""
+    runs = [run_folder(folder, seed) for seed in parse_seeds(seeds)]
+    if not all((run / SUMMARY).exists() for run in runs):
+        train([*arguments, "--seeds", seeds, "--out", str(folder)])
+    return runs
 
 
 def row(run: Path) -> dict[str, Any]:

@@ -16,11 +16,9 @@ import re
 from pathlib import Path
 from typing import Any
 
-from nerf_rl.files.outputs import SUMMARY
-from nerf_rl.rl.sweeps.runs import GOOD, run_folder
-from nerf_rl.rl.sweeps.seed_list import parse_seeds
+from nerf_rl.rl.sweeps.runs import GOOD
 from nerf_rl.rl.training.evaluation_results import SUCCESS
-from tools.compare.agent_runs import EPISODES, KEYS, ON_THE_WAY, RECIPE, put_runs, read_entries, row, train
+from tools.compare.agent_runs import EPISODES, KEYS, ON_THE_WAY, RECIPE, put_runs, read_entries, row, trained
 from tools.page_tables import AGENTS_PAGE, markdown_table, task_name, write_tables
 
 RESULTS = Path("rl/results/agents")
@@ -79,10 +77,8 @@ def main() -> None:
         keys = arm_keys(arm)
         compared = f"{Path(arguments.scene).name}-{eyes}-{arguments.env_steps}"
         folder = arguments.work / compared.replace(" ", "-") / arm.replace(" ", "-").replace(",", "")
-        runs = [run_folder(folder, seed) for seed in parse_seeds(arguments.seeds)]
-        if not all((run / SUMMARY).exists() for run in runs):
-            words = [*keys, "--scene", arguments.scene, *KEYS, "--env_steps", str(arguments.env_steps), *sees]
-            train([*words, "--seeds", arguments.seeds, "--out", str(folder)])
+        words = [*keys, "--scene", arguments.scene, *KEYS, "--env_steps", str(arguments.env_steps), *sees]
+        runs = trained(folder, arguments.seeds, words)
         record(arguments.scene, eyes, arguments.env_steps, arm, keys, [row(run) for run in runs])
 
 

@@ -16,12 +16,10 @@ import numpy as np
 
 from nerf_rl.files.atomic import atomic_write
 from nerf_rl.files.json_files import read_json
-from nerf_rl.files.outputs import SUMMARY
 from nerf_rl.rl.sweeps.aggregates import stratified_interval
-from nerf_rl.rl.sweeps.runs import GOOD, run_folder
-from nerf_rl.rl.sweeps.seed_list import parse_seeds
+from nerf_rl.rl.sweeps.runs import GOOD
 from nerf_rl.rl.training.evaluation_results import SUCCESS
-from tools.compare.agent_runs import EPISODES, KEYS, RECIPE, put_runs, train, training_episodes
+from tools.compare.agent_runs import EPISODES, KEYS, RECIPE, put_runs, trained, training_episodes
 from tools.compare.agent_runs import row as figures_of
 from tools.compare.objectives import ORDER, WHOLE
 from tools.page_tables import ENCODERS_PAGE, markdown_table, task_name, write_tables
@@ -45,10 +43,8 @@ def main() -> None:
     scene = read_json(arguments.runs / WHOLE / "encoder.json")["scene"]["name"]
     for objective in arguments.objectives:
         folder = arguments.work / arguments.runs.name / f"{objective.replace(' ', '-')}-{arguments.env_steps}"
-        runs = [run_folder(folder, seed) for seed in parse_seeds(arguments.seeds)]
-        if not all((run / SUMMARY).exists() for run in runs):
-            words = ["--scene", scene, *KEYS, "--env_steps", str(arguments.env_steps), *eyes(objective, arguments.runs)]
-            train([*words, "--seeds", arguments.seeds, "--out", str(folder)])
+        words = ["--scene", scene, *KEYS, "--env_steps", str(arguments.env_steps), *eyes(objective, arguments.runs)]
+        runs = trained(folder, arguments.seeds, words)
         record(scene, arguments.env_steps, objective, [row(run, arguments.env_steps) for run in runs])
 
 
