@@ -15,6 +15,7 @@ from nerf_rl.machine.extras import import_extra
 from nerf_rl.progress import Progress
 from nerf_rl.rl.config import BASELINES, NO_ENCODER, TrainRLConfig
 from nerf_rl.rl.environments.encoder_match import check_encoder_scene, warn_of_workers_rendering
+from nerf_rl.rl.sweeps.runs import is_training
 from nerf_rl.rl.sweeps.sweep import require_one_run, train_seeds
 from nerf_rl.rl.sweeps.workers import begin_seeds
 from nerf_rl.rl.training.evaluation_results import describe_episodes
@@ -169,7 +170,7 @@ def describe(result: dict[str, Any], seconds: float) -> str:
 
 def _can_resume(run: Path, config: TrainRLConfig) -> bool:
     """Tell whether the folder holds an interrupted run; raise UserError if it has other keys or another encoder."""
-    if not (run / "config.yaml").is_file():
+    if not is_training(run):
         return False
     from nerf_rl.rl.training.checkpoint import require_begun_so
 

@@ -9,7 +9,7 @@ import yaml
 
 from nerf_rl.arguments.stored_keys import with_defaults
 from nerf_rl.files.json_files import read_json
-from nerf_rl.files.outputs import PROVENANCE, SUMMARY
+from nerf_rl.files.outputs import PROVENANCE, SUMMARY, command_of
 from nerf_rl.files.structure import mapping, number, whole
 from nerf_rl.rl.config import TrainRLConfig
 from nerf_rl.rl.training.evaluation_results import DEMONSTRATIONS, DUE, EVALUATIONS, SUCCESS, due
@@ -29,6 +29,11 @@ _SUMMARY = mapping(
 def run_folder(out: Path, seed: int) -> Path:
     """Return the run folder of a seed."""
     return out / f"seed-{seed}"
+
+
+def is_training(folder: Path) -> bool:
+    """Tell whether train-rl began in a folder, a run or a sweep; keys of other commands have the same names."""
+    return (folder / "config.yaml").is_file() and command_of(folder) in (None, "train-rl")  # None: it is damaged
 
 
 def is_finished(run: Path, config: TrainRLConfig) -> bool:

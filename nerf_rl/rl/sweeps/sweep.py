@@ -13,7 +13,7 @@ from nerf_rl.files.outputs import SUMMARY, prepare_output, write_provenance
 from nerf_rl.rl.config import BASELINES, TrainRLConfig
 from nerf_rl.rl.sweeps.figure import draw_sweep
 from nerf_rl.rl.sweeps.progress import SweepProgress
-from nerf_rl.rl.sweeps.runs import is_finished, read_run, run_folder
+from nerf_rl.rl.sweeps.runs import is_finished, is_training, read_run, run_folder
 from nerf_rl.rl.sweeps.seed_list import parse_seeds
 from nerf_rl.rl.sweeps.seed_process import Train, log_of
 from nerf_rl.rl.sweeps.summary import summarise
@@ -74,14 +74,14 @@ def train_seeds(train: Train, config: TrainRLConfig) -> dict[str, Any]:
 
 def require_one_run(folder: Path) -> None:
     """Raise UserError if a folder holds a sweep, which a single run would take for an interrupted one of its own."""
-    seeds = _stored(folder).get("seeds")
+    seeds = _stored(folder).get("seeds") if is_training(folder) else None
     if seeds:
         raise UserError(f"{folder} holds runs of several seeds; resume them with --seeds {seeds}, or use another --out")
 
 
 def _can_resume(out: Path, config: TrainRLConfig, seeds: list[int]) -> bool:
     """Tell whether the folder holds a sweep; raise UserError if it is another one."""
-    if not (out / "config.yaml").is_file():
+    if not is_training(out):
         return False
     from nerf_rl.rl.training.checkpoint import require_begun_so  # it takes PyTorch's time to import
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from nerf_rl import cli
+from nerf_rl.files.outputs import write_provenance
 from nerf_rl.rl.sweeps.runs import read_run
 
 ROOT = Path(__file__).parents[3]
@@ -176,6 +177,21 @@ def test_a_folder_with_a_sweep_is_not_taken_for_anything_else(
     assert cli.main(["train-rl", *TINY, "--out", str(undisturbed), *keys]) == 2
     assert sentence in capsys.readouterr().err
     assert sorted(path.stat().st_mtime_ns for path in undisturbed.rglob("*")) == before
+
+
+@pytest.mark.parametrize("command", ["gen-dataset", "tune"])
+@pytest.mark.parametrize("theirs", [[], ["--seeds", "0"]], ids=["without seeds", "with seeds"])
+@pytest.mark.parametrize("seeds", [[], ["--seeds", "0"]], ids=["one run", "a sweep"])
+def test_a_folder_of_another_command_is_not_gone_on_with_whatever_its_keys_are(
+    command: str, theirs: list[str], seeds: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    out = tmp_path / "out"
+    out.mkdir()
+    write_provenance(out, command, cli.parse("train-rl", [*TINY, *theirs, "--out", str(out)]))
+    before = {path: path.read_bytes() for path in out.iterdir()}
+    assert cli.main(["train-rl", *TINY, *seeds, "--out", str(out), "--resume", "true"]) == 2
+    assert "already exists and is not empty" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in out.iterdir()} == before
 
 
 def test_where_one_run_is_asked_for_a_sweep_names_those_that_it_holds(
