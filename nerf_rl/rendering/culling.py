@@ -11,19 +11,29 @@ from nerf_rl.scenes.workspace import opacity, undrawn
 _ZERO = 1e-9
 _FAINT = 0.5  # of a mark's opacity, below which it is seen through
 _SLACK = 1.02  # of the boxes: simplified meshes may stand out of the original's box a little
+_KIND = mujoco.mjtGeom
+_EXTENTS = {
+    _KIND.mjGEOM_SPHERE: [[1, 0, 0], [1, 0, 0], [1, 0, 0]],
+    _KIND.mjGEOM_CAPSULE: [[1, 0, 0], [1, 0, 0], [1, 1, 0]],
+    _KIND.mjGEOM_CYLINDER: [[1, 0, 0], [1, 0, 0], [0, 1, 0]],
+    _KIND.mjGEOM_ELLIPSOID: [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    _KIND.mjGEOM_BOX: [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+}  # from a shape's sizes to half of its box's sides; boxes of others are those of when the model was compiled
 
 
 class FrustumCulling:
     """Tests the oriented bounding boxes of a model's geoms against cameras' fields of view, all at once.
 
     Args:
-        model: sizes and boxes are read from it at each call.
+        model: sizes, and boxes of meshes and the like, are read from it at each call.
         height, width: of an image [pixels].
         near: distance of the near plane [m].
     """
 
     def __init__(self, model: mujoco.MjModel, height: int, width: int, near: float):
         self._model, self._near = model, near
+        self._extents = np.array([_EXTENTS.get(kind, np.zeros((3, 3))) for kind in model.geom_type]).reshape(-1, 3, 3)
+        self._has_extents = np.isin(model.geom_type, list(_EXTENTS))[:, None]
         self._corner_pixels = 0.5 * np.array([[-width, -height], [width, -height], [width, height], [-width, height]])
 
     def outside(
@@ -38,7 +48,8 @@ class FrustumCulling:
         model = self._model
         result = np.broadcast_to(undrawn(model), (len(intrinsics), model.ngeom)).copy()
         tested = np.flatnonzero((model.geom_rbound > 0) & ~result[0])  # planes have no bounds and are always drawn
-        half = _SLACK * model.geom_aabb[tested, 3:]
+        by_size = (self._extents @ model.geom_size[..., None])[..., 0]
+        half = _SLACK * np.where(self._has_extents, by_size, model.geom_aabb[:, 3:])[tested]
         world_from_box = data.geom_xmat[tested].reshape(-1, 3, 3)
         centre = data.geom_xpos[tested] + (world_from_box @ model.geom_aabb[tested, :3, None])[..., 0]
 

@@ -23,6 +23,7 @@ from nerf_rl.rendering.level_of_detail import simplify_meshes
 from nerf_rl.rendering.near_plane import near_plane
 from nerf_rl.rendering.offscreen_target import OffscreenTarget
 from nerf_rl.rendering.still_background import StillBackground, StillGeoms
+from nerf_rl.rendering.uploads import Uploads
 from nerf_rl.scenes.workspace import undrawn
 
 _HIDDEN_GROUP = 5  # of geoms; not drawn by default
@@ -48,7 +49,7 @@ class MultiViewRenderer:
     """Renders a model from any cameras.
 
     Args:
-        model: the simulated model; positions, colours and sizes are read from it at each call.
+        model: the simulated model; all but its meshes is read from it at each call.
         height, width: of one view [pixels].
         views: the most cameras a call may have.
         quality: ``full`` (shadows, reflections, multisampling), ``plain`` (none of these), ``fast`` (as ``plain``,
@@ -90,6 +91,7 @@ class MultiViewRenderer:
             except UserError as error:
                 raise UserError(f"{error}; smooth pictures are drawn {_SMOOTH_SIDE} times as large") from error
         self._targets = targets  # of labels, unless none are asked for, and of colours, which may be the same
+        self._uploads = Uploads(model, targets)
         self._at_once = min(target.tiles for target in targets)
         self._option = mujoco.MjvOption()
         self._option.sitegroup[:] = 0
@@ -161,7 +163,10 @@ class MultiViewRenderer:
 
     def _look(self, data: mujoco.MjData, intrinsics: ndarray, camera_from_world: ndarray) -> Bool[ndarray, "V G"]:
         """Take in what is to be drawn; return which geoms no view needs, since they are outside of it."""
+        painted = self._uploads.refresh(data)
         if self._still_geoms is not None:
+            if painted:
+                self._still_geoms.forget()
             self._still_geoms.look(data, intrinsics, camera_from_world)
         return self._culling.outside(data, intrinsics, camera_from_world)
 

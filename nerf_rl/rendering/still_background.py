@@ -38,6 +38,10 @@ class StillGeoms:
         self._poses, self._cameras = np.empty((0, 12)), np.empty((0, 25))
         self.still, self.steady = np.zeros(model.ngeom, bool), np.zeros(0, bool)
 
+    def forget(self) -> None:
+        """Take the scene for one that looks otherwise, since OpenGL was given something anew."""
+        self._appearance = b""
+
     def look(
         self, data: mujoco.MjData, intrinsics: Float[ndarray, "V 3 3"], camera_from_world: Float[ndarray, "V 4 4"]
     ) -> None:
@@ -64,7 +68,7 @@ class StillGeoms:
         return self._version.to_bytes(8, "little") + self._cameras[view].tobytes()
 
     def _appearance_now(self, data: mujoco.MjData) -> bytes:
-        """Return all that decides, beside poses and what OpenGL was given for good, how geoms look."""
+        """Return all that decides, beside poses and what OpenGL was given, how geoms look."""
         visual = self._model.vis
         lamp, colours = visual.headlight, visual.rgba
         arrays = [

@@ -140,3 +140,22 @@ def test_what_moves_is_not_cut_off_by_the_near_plane_of_a_large_model(quality: s
     np.testing.assert_allclose(seen[1].depth[0, SIZE // 2, SIZE // 2], 0.3, atol=2e-3)
     same = (seen[0].geom >= 0) & (seen[0].geom == seen[1].geom)  # the large ground goes on behind the small one's end
     np.testing.assert_allclose(seen[1].depth[same], seen[0].depth[same], atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["sphere", "capsule", "cylinder", "ellipsoid", "box"])
+def test_what_has_been_made_larger_is_drawn_as_large_as_it_is(kind: str):
+    """Boxes of the compiled model are those of the sizes it was compiled with."""
+    model, data = loaded(f'<geom type="{kind}" pos="0 0 0.3" size="0.02 0.02 0.02" rgba="1 0 0 1"/>')
+    model.geom_size[1] = 0.3, 0.25, 0.2
+    mujoco.mj_forward(model, data)
+    away = cameras.look_at(np.array([0.55, 0.0, 0.3]), 0.6, 90.0, 0.0)  # the geom's middle is out of view
+    intrinsics = cameras.intrinsics_from_fovy(75.0, SIZE, SIZE)
+    renderer = MultiViewRenderer(model, SIZE, SIZE, 1, "plain")
+    seen = renderer.render(data, intrinsics[None], away[None])
+    renderer.close()
+    fresh, other = loaded(f'<geom type="{kind}" pos="0 0 0.3" size="0.3 0.25 0.2" rgba="1 0 0 1"/>')
+    renderer = MultiViewRenderer(fresh, SIZE, SIZE, 1, "plain")
+    expected = renderer.render(other, intrinsics[None], away[None])
+    renderer.close()
+    assert 0.01 < (expected.geom == 1).mean() < 0.5
+    np.testing.assert_array_equal(seen.geom, expected.geom)

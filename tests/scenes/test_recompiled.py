@@ -67,6 +67,28 @@ def test_a_polygon_without_an_area_makes_no_other_model():
     assert shown.model is env.model
 
 
+def test_what_is_painted_or_whose_ground_is_otherwise_is_the_same_model():
+    env, rng = RecompiledSlider(), np.random.default_rng(0)
+    assets = (
+        '<texture name="paper" type="2d" builtin="flat" width="8" height="8"/><hfield name="ground" nrow="4" ncol="4" '
+    )
+    env.XML = env.XML.replace("<worldbody>", f'<asset>{assets}size="1 1 .1 .1"/></asset><worldbody>')
+    env.reset(seed=0)
+    shown, drawn = RenderData(env), []
+    for seed in (1, 2, 3):
+        env.reset(seed=seed)
+        env.model.tex_data[:] = rng.integers(0, 255, env.model.ntexdata)
+        env.model.hfield_data[:] = rng.uniform(size=env.model.nhfielddata)
+        env.model.hfield_size[0, 2] = rng.uniform()
+        drawn.append(shown.model)
+        for name in ("tex_data", "hfield_data", "hfield_size"):
+            np.testing.assert_array_equal(getattr(shown.model, name), getattr(env.model, name))
+    assert drawn[1] is drawn[2] is not env.model
+    env.reset(seed=4)
+    env.model.tex_type[0] = mujoco.mjtTexture.mjTEXTURE_CUBE
+    assert shown.model is env.model
+
+
 def test_a_simulation_that_goes_back_to_a_model_is_drawn_as_that():
     """Nothing is written into a model that the environment may still use."""
     env, models = RecompiledSlider(), []
