@@ -159,6 +159,26 @@ class TargetSlider(Slider):
         return observation, info
 
 
+class LensSlider(Slider):
+    """It has cameras, one of which its resets move, or let look at a wider or narrower angle."""
+
+    XML = Slider.XML.replace(
+        "</worldbody>", '<camera name="still" pos="0 0 2"/><camera name="lens" pos="0 0.5 2"/></worldbody>'
+    )
+
+    def __init__(self, zooms: bool) -> None:
+        super().__init__()
+        self.zooms = zooms
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict[str, Any], dict]:
+        camera, rng = self.model.camera("lens"), np.random.default_rng(seed)
+        if self.zooms:
+            camera.fovy[:] = rng.uniform(30, 60)
+        else:
+            camera.pos[2] = rng.uniform(1.5, 2.0)
+        return super().reset(seed=seed, options=options)
+
+
 gymnasium.register("TargetSlider-v0", entry_point=TargetSlider, max_episode_steps=20)
 gymnasium.register("RecompiledSlider-v0", entry_point=RecompiledSlider, max_episode_steps=20)
 gymnasium.register("BreakingSlider-v0", entry_point=BreakingSlider, max_episode_steps=20)
@@ -167,6 +187,8 @@ gymnasium.register("AnotherSlider-v0", entry_point=AnotherSlider, max_episode_st
 gymnasium.register("Slider-v0", entry_point=Slider, max_episode_steps=20)
 gymnasium.register("NamedGoalSlider-v0", entry_point=NamedGoalSlider, max_episode_steps=20)
 gymnasium.register("LateSlider-v0", entry_point=LateSlider, max_episode_steps=20)
+gymnasium.register("MovedLensSlider-v0", entry_point=LensSlider, max_episode_steps=20, kwargs={"zooms": False})
+gymnasium.register("ZoomedLensSlider-v0", entry_point=LensSlider, max_episode_steps=20, kwargs={"zooms": True})
 SLIDER, NAMED_GOAL_SLIDER = "gym/own_environments:Slider-v0", "gym/own_environments:NamedGoalSlider-v0"
 TARGET_SLIDER = "gym/own_environments:TargetSlider-v0"
 RECOMPILED_SLIDER = "gym/own_environments:RecompiledSlider-v0"

@@ -11,7 +11,7 @@ from numpy import ndarray
 from nerf_rl.cameras.geometry import look_at, look_from, pose_from_rotation_position
 from nerf_rl.cameras.rig_config import CameraConfig
 from nerf_rl.cameras.tracking_frame import to_world
-from nerf_rl.errors import UnknownNameError, UserError
+from nerf_rl.errors import FailureError, UnknownNameError, UserError
 from nerf_rl.rendering.following import Followers, Following, body_id
 from nerf_rl.scenes.workspace import Workspace
 
@@ -93,11 +93,17 @@ def _of_the_model(config: CameraConfig, model: mujoco.MjModel) -> Mount:
         raise UserError(
             f"camera '{config.camera}' of the model is not a pinhole given by its fovy, which is all we draw"
         )
+    fovy = float(model.cam_fovy[camera])
     moves = model.cam_bodyid[camera] != 0 or model.cam_mode[camera] != mujoco.mjtCamLight.mjCAMLIGHT_FIXED
 
     def pose(data: mujoco.MjData) -> Float[ndarray, "4 4"]:
+        if data.model.cam_fovy[camera] != fovy:
+            raise FailureError(
+                f"the scene changes the field of view of its camera '{config.camera}', and a dataset's camera has one "
+                "alone; leave that camera out, or let resets leave it as it is"
+            )
         right, up, back = data.cam_xmat[camera].reshape(3, 3).T
         return pose_from_rotation_position(np.stack([right, -up, -back]), data.cam_xpos[camera])
 
     body = int(model.cam_bodyid[camera])
-    return Mount(pose, float(model.cam_fovy[camera]), bool(moves), body if model.body_weldid[body] else -1)
+    return Mount(pose, fovy, bool(moves), body if model.body_weldid[body] else -1)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 from numpy import ndarray
 
 from nerf_rl.cameras.geometry import projection_matrix
@@ -36,6 +37,8 @@ class RenderContext(NamedTuple):
     behaviour: Behaviour
     renderer: MultiViewRenderer
     rig: Rig
+    still_poses: Float[ndarray, "V 4 4"] | None
+    """of all cameras, if none of them moves"""
     classes: SemanticClasses
     layout: Layout
 
@@ -56,7 +59,8 @@ def open_render_context(config: GenDatasetConfig) -> RenderContext:
     }
     sizes = {"nq": model.nq, "nv": model.nv, "nbody": model.nbody, "nmocap": model.nmocap}
     layout = frame_layout(len(rig.names), config.size, rig.moving, sizes, columns, rig.tracking_frame is not None)
-    return RenderContext(scene, model, behaviour, renderer, rig, classes, layout)
+    still_poses = None if rig.moving else rig.poses(scene.render_data(), np.random.default_rng())
+    return RenderContext(scene, model, behaviour, renderer, rig, still_poses, classes, layout)
 
 
 def shard_count(config: GenDatasetConfig) -> int:
@@ -92,10 +96,9 @@ def render_shard(config: GenDatasetConfig, shard: int, beat: Callable[[], None],
     held_out = validation_episodes(config.episodes, config.validation_fraction, config.seed)
     episodes = shard_episodes(config, shard)
     constant = {"cameras/intrinsics": context.rig.intrinsics}
-    if not context.rig.moving:
-        poses = context.rig.poses(context.scene.render_data(), np.random.default_rng())
-        constant["cameras/camera_from_world"] = poses
-        constant["cameras/projection"] = projection_matrix(context.rig.intrinsics, poses)
+    if context.still_poses is not None:
+        constant["cameras/camera_from_world"] = context.still_poses
+        constant["cameras/projection"] = projection_matrix(context.rig.intrinsics, context.still_poses)
     frames = shard_frames(config, shard)
     renderer = context.renderer.gl_renderer
     attributes = shard_attributes(plan, context.scene.provenance(), renderer)
@@ -117,7 +120,8 @@ def render_episode(
     """Yield the rows of an episode's frames as they are rendered.
 
     Raises:
-        FailureError: a view shows nothing, a number is not finite, or the scene has another model than before.
+        FailureError: a view shows nothing, a number is not finite, or the scene has another model than before or moves
+            a camera that is fixed.
     """
     scene, rng = context.scene, np.random.default_rng([config.seed, episode])
     kept = set(rng.choice(config.episode_steps + 1, config.frames_per_episode, replace=False).tolist())
@@ -132,6 +136,12 @@ def render_episode(
             )
         shown = scene.render_data()
         poses = context.rig.poses(shown, rng)
+        if context.still_poses is not None and not np.array_equal(poses, context.still_poses):
+            moved = context.rig.names[int((poses != context.still_poses).any((1, 2)).argmax())]
+            raise FailureError(
+                f"{scene.name} moves camera {moved} of its model, which stood elsewhere than in episode {episode} when "
+                "the scene was made; leave that camera out, let resets leave it alone, or fix it to a body that moves"
+            )
         views = context.renderer.render(shown, context.rig.intrinsics, poses)
         model, data = scene.model, scene.data
         row = {
