@@ -17,20 +17,37 @@ FORK_SERVER = "forkserver"
 
 
 @contextlib.contextmanager
-def ignore_sigint() -> Iterator[None]:
-    """Let processes that are started here ignore Ctrl-C from their first instruction on; this one does so meanwhile.
+def delay_interrupts() -> Iterator[None]:
+    """Hold Ctrl-C, and SIGTERM where it is handled, back until the end of what is done here, and raise them then.
 
-    A handler that a process sets itself comes seconds late, after its imports. Only the main thread can tell the
-    children to ignore it; in another one nothing is changed.
+    A process that is begun waits for the imports of the server that it is a fork of; whoever begins it would not know
+    of it if that was interrupted. Handlers are the main thread's; in another one nothing is changed.
     """
+    held = list[int]()
+
+    def hold(number: int, frame: object) -> None:
+        held.append(number)
+
+    with contextlib.ExitStack() as handlers:
+        for handled in (signal.SIGINT, signal.SIGTERM):
+            if callable(signal.getsignal(handled)):
+                handlers.enter_context(_handler(handled, hold))
+        yield
+    for number in held:
+        signal.raise_signal(number)
+
+
+@contextlib.contextmanager
+def _handler(number: int, handler: Any) -> Iterator[None]:
+    """Let a handler have a signal meanwhile, if this is the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    before = signal.signal(number, handler)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(number, before)
 
 
 def start_method(modules: Sequence[str]) -> str:
@@ -51,12 +68,19 @@ def start_method(modules: Sequence[str]) -> str:
 
 
 def worker_context(modules: Sequence[str]) -> Any:
-    """Return multiprocessing's context whose processes are started by :func:`start_method`, with its arguments."""
+    """Return multiprocessing's context whose processes are forks of :func:`start_server`'s server if there can be one.
+
+    Start them within :func:`delay_interrupts`; they ignore Ctrl-C.
+    """
+    start_server(modules)
     return multiprocessing.get_context(start_method(modules))
 
 
 def start_server(modules: Sequence[str]) -> None:
     """Let the server of :func:`start_method` begin its imports, while this process goes on with its own.
+
+    It ignores Ctrl-C from its first instruction on, and so do its forks: a handler that a process sets itself comes
+    seconds late, after its imports.
 
     Args:
         modules: as there; they are those that the server has if it is running already.
@@ -64,7 +88,7 @@ def start_server(modules: Sequence[str]) -> None:
     if start_method(modules) == FORK_SERVER:
         from multiprocessing import forkserver  # Windows has none
 
-        with ignore_sigint():  # until its imports are done, it would die of Ctrl-C with a traceback
+        with _handler(signal.SIGINT, signal.SIG_IGN):  # which a process inherits; starting one takes a moment
             forkserver.ensure_running()
 
 

@@ -15,7 +15,7 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from nerf_rl.errors import UserError
 from nerf_rl.machine.extras import import_extra
-from nerf_rl.machine.processes import ignore_sigint, start_worker, worker_context
+from nerf_rl.machine.processes import delay_interrupts, start_worker, worker_context
 
 MOST_DEATHS = 3
 """in a row, without a finished call in between, after which to give up"""
@@ -56,7 +56,7 @@ class LocalProcesses:
         left, running = iter(calls), set[Future[Result]]()
         try:
             while True:
-                with ignore_sigint():  # handing a call over may start a process
+                with delay_interrupts():  # handing a call over may start a process
                     running |= {pool.submit(call) for call in itertools.islice(left, _WAITING * workers - len(running))}
                 if not running:
                     return

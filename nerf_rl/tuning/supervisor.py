@@ -9,7 +9,7 @@ import optuna
 from optuna.trial import FrozenTrial, TrialState
 
 from nerf_rl.errors import FailureError
-from nerf_rl.machine.processes import ignore_sigint, worker_context
+from nerf_rl.machine.processes import delay_interrupts, worker_context
 from nerf_rl.progress import Progress
 from nerf_rl.tuning.heartbeat import LOST, LostTrials
 from nerf_rl.tuning.sampler import slot_of
@@ -39,9 +39,10 @@ def supervise(task: Task, workers: int) -> optuna.Study:
     trials = study.get_trials(deepcopy=False)
     reported, deaths, done = {t.number for t in trials if t.state.is_finished()}, 0, finished(trials)
     with (
-        _Workers(task, min(workers, task.trials - done)) as running,
+        _Workers(task) as running,
         Progress(task.trials, "trials", done=done) as progress,
     ):
+        running.start(min(workers, task.trials - done))
         while finished(trials) < task.trials:
             deaths += running.replace_dead()
             wait_for(running.sentinels, timeout=_PAUSE)
@@ -67,10 +68,15 @@ def supervise(task: Task, workers: int) -> optuna.Study:
 class _Workers(contextlib.AbstractContextManager):
     """The worker processes; on leaving, those that still run are ended and their trials failed."""
 
-    def __init__(self, task: Task, count: int):
+    def __init__(self, task: Task):
         self._task = task
         self._context = worker_context([work.__module__, type(task.objective).__module__, *task.modules])
-        self._processes = [self._start(number) for number in range(count)]
+        self._processes = list[BaseProcess]()
+
+    def start(self, count: int) -> None:
+        """Start so many of them."""
+        with delay_interrupts():
+            self._processes += map(self._started, range(count))
 
     @property
     def sentinels(self) -> list[int]:
@@ -80,9 +86,10 @@ class _Workers(contextlib.AbstractContextManager):
     def replace_dead(self) -> int:
         """Start a worker for each that has died; return how many there were."""
         dead = [number for number, process in enumerate(self._processes) if process.exitcode]  # 0: nothing left to do
-        for number in dead:
-            self._processes[number].join()
-            self._processes[number] = self._start(number)
+        with delay_interrupts():
+            for number in dead:
+                self._processes[number].join()
+                self._processes[number] = self._started(number)
         return len(dead)
 
     def finish(self) -> None:
@@ -90,10 +97,9 @@ class _Workers(contextlib.AbstractContextManager):
         for process in self._processes:
             process.join(10.0)
 
-    def _start(self, number: int) -> BaseProcess:
+    def _started(self, number: int) -> BaseProcess:
         process = self._context.Process(target=work, args=(self._task, number), name=f"tune-{number}")
-        with ignore_sigint():
-            process.start()
+        process.start()
         return process
 
     def __exit__(self, *exception: object) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from nerf_rl.errors import FailureError, UserError
-from nerf_rl.machine.processes import end_with_parent, ignore_sigint, start_method
+from nerf_rl.machine.processes import delay_interrupts, end_with_parent, start_method, start_server
 from nerf_rl.pretrain.config import PretrainConfig
 
 _PATIENCE = 10.0  # with processes that should end because another one has [s]
@@ -62,13 +62,14 @@ def run_on_each_device(config: PretrainConfig, train: Callable[..., None], *argu
     from torch import multiprocessing
 
     count = config.devices
-    method = start_method(["nerf_rl.pretrain.fitting", train.__module__])
+    modules = ["nerf_rl.pretrain.fitting", train.__module__]
+    start_server(modules)
+    method = start_method(modules)
     told = multiprocessing.get_context(method).SimpleQueue()
-    with ignore_sigint():
-        context = multiprocessing.start_processes(
-            _process, (count, _free_port(), told, config, train, arguments), count, join=False, start_method=method
-        )
+    passed = (count, _free_port(), told, config, train, arguments)
     try:
+        with delay_interrupts():
+            context = multiprocessing.start_processes(_process, passed, count, join=False, start_method=method)
         while not context.join(grace_period=_PATIENCE):
             pass
     except (multiprocessing.ProcessExitedException, multiprocessing.ProcessRaisedException) as error:

@@ -12,7 +12,7 @@ from typing import Any
 from nerf_rl.errors import FailureError
 from nerf_rl.machine.backends import RAY
 from nerf_rl.machine.cores import usable_cores
-from nerf_rl.machine.processes import ignore_sigint, start_server, worker_context
+from nerf_rl.machine.processes import delay_interrupts, start_server, worker_context
 from nerf_rl.machine.worker_pools import MOST_DEATHS, RayProcesses, through_deaths
 from nerf_rl.rl.config import TrainRLConfig
 from nerf_rl.rl.sweeps.seed_process import STILL_TRAINED, Train, train_seed
@@ -81,9 +81,9 @@ def _train_here(
                 process = context.Process(
                     target=train_seed, args=(train, config, seed, os.getcwd()), name=f"seed-{seed}"
                 )
-                with ignore_sigint():
+                with delay_interrupts():
                     process.start()
-                running[process.sentinel] = seed, process
+                    running[process.sentinel] = seed, process
             for sentinel in wait(list(running)):
                 seed, process = running.pop(sentinel)
                 process.join()
