@@ -9,6 +9,7 @@ import h5py
 
 from nerf_rl.datasets.storage.plan import Plan, plan_digest
 from nerf_rl.datasets.storage.shards import sha256_of, shard_file, shard_path
+from nerf_rl.errors import UserError
 
 _PLAN, _SCENE, _RENDERER = "plan", "scene", "renderer"  # attributes of a shard's file
 _AND = " and "  # between the renderers that a manifest names
@@ -39,23 +40,33 @@ def shard_attributes(plan: Plan, scene: Mapping[str, Any], renderer: str) -> dic
 
 
 def finished_shard(folder: Path, shard: int, frames: int, scene: Mapping[str, Any], plan: Plan) -> FinishedShard | None:
-    """Return what is known of a shard on disk, or None if it is missing or of another configuration or scene.
+    """Return what is known of a shard on disk, or None if it is missing or of another configuration.
 
     Args:
         folder: of the dataset.
         shard: its number.
         frames: how many it has to have.
-        scene: the scene's provenance; a model that changed since, or another MuJoCo, would render otherwise.
+        scene: the scene's provenance.
         plan: that the dataset was begun with.
+
+    Raises:
+        UserError: it is of another version of the scene; a model that changed since, or another MuJoCo, would render
+            otherwise.
     """
     path, expected = shard_path(folder, shard), shard_attributes(plan, scene, "")
     try:
         with h5py.File(path, "r") as file:
-            if any(file.attrs[name] != expected[name] for name in (_PLAN, _SCENE)) or len(file["rgb"]) != frames:
+            if file.attrs[_PLAN] != expected[_PLAN] or len(file["rgb"]) != frames:
                 return None
-            renderer = file.attrs[_RENDERER]
-    except (OSError, KeyError):
+            renderer, made_of = file.attrs[_RENDERER], json.loads(file.attrs[_SCENE])
+            other = sorted(key for key in {*made_of, *scene} if made_of.get(key) != scene.get(key))
+    except (OSError, KeyError, ValueError, TypeError):
         return None
+    if other:
+        raise UserError(
+            f"{path} is of another version of the scene (what differs: {', '.join(other)}), and would be made anew; "
+            "restore that version, or use --overwrite true or another --out"
+        )
     return FinishedShard(shard, frames, sha256_of(path), renderer)
 
 

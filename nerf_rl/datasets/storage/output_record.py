@@ -19,7 +19,7 @@ from nerf_rl.datasets.storage.shards import (
 from nerf_rl.errors import UserError
 from nerf_rl.files.checksummed_json import is_whole, write_checksummed
 from nerf_rl.files.json_files import read_json, write_json
-from nerf_rl.files.outputs import SUMMARY, check_output, prepare_output, write_provenance
+from nerf_rl.files.outputs import SUMMARY, check_output, prepare_output, require_place, write_provenance
 
 
 @runtime_checkable
@@ -71,8 +71,9 @@ class DatasetRecord:
         """Refuse a folder in use, unless an interrupted run with the same plan is to go on, before anything slow.
 
         Raises:
-            UserError: a folder in use, or one begun with another configuration.
+            UserError: a folder in use, or one begun with another configuration, or a place where no folder can be.
         """
+        require_place(self.dataset)
         check_output(self.folder, self._config.overwrite, self._config.resume, self._begun())
         if self._other is not None:
             what = f"{self._another} (what differs: {', '.join(self._other)})" if self._other else self._another
@@ -81,11 +82,13 @@ class DatasetRecord:
     def finished_shards(self, scene: Mapping[str, Any]) -> dict[int, FinishedShard]:
         """Return the shards that an interrupted run left whole, by number; none unless it is to be resumed.
 
-        A shard that is not what an earlier manifest says is not among them, so that no damage is signed anew; nor is
-        one made from another version of the scene.
+        A shard that is not what an earlier manifest says is not among them, so that no damage is signed anew.
 
         Args:
             scene: the scene's provenance.
+
+        Raises:
+            UserError: one is of another version of the scene.
         """
         if not self._config.resume:
             return {}

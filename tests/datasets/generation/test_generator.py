@@ -9,6 +9,7 @@ import h5py
 import mujoco
 import numpy as np
 import pytest
+from tiny_recipes import TINY_DATASET
 
 from nerf_rl import cli
 from nerf_rl.datasets.generation.shard_episodes import open_render_context
@@ -16,6 +17,7 @@ from nerf_rl.datasets.generation.unfinished import OutputRecord
 from nerf_rl.datasets.storage.reader import MultiViewDataset
 from nerf_rl.datasets.storage.shards import MANIFEST, SHARDS, sha256_of
 from nerf_rl.datasets.storage.splits import validation_episodes
+from nerf_rl.errors import UserError
 from nerf_rl.files.outputs import PROVENANCE
 
 EPISODES, FRAMES_PER_EPISODE, STEPS, SIZE, VIEWS = 4, 3, 12, 24, 4
@@ -69,11 +71,40 @@ def test_an_existing_dataset_is_refused_and_left_alone(
     assert content_of(tiny_dataset) == before
 
 
-def test_resuming_keeps_no_shard_of_another_version_of_the_scene(tiny_dataset: Path, tiny_recipe: Path):
+def test_resuming_with_another_version_of_the_scene_is_refused(tiny_dataset: Path, tiny_recipe: Path):
     config = cli.parse("gen-dataset", ["--config", str(tiny_recipe), "--out", str(tiny_dataset), "--resume", "true"])
     scene = json.loads((tiny_dataset / MANIFEST).read_text())["scene"]
     assert list(OutputRecord(config).finished_shards(scene)) == [0, 1]
-    assert OutputRecord(config).finished_shards({**scene, "mujoco": "2.0"}) == {}
+    for other in ({**scene, "mujoco": "2.0"}, {**scene, "another": 1}, {"name": scene["name"]}):
+        with pytest.raises(
+            UserError, match=r"another version of the scene \(what differs: (mujoco|another|.*, mujoco)"
+        ):
+            OutputRecord(config).finished_shards(other)
+
+
+def test_a_model_that_was_edited_since_leaves_finished_shards_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    scene = tmp_path / "blocks.xml"
+    shutil.copy("datasets/scenes/blocks.xml", scene)
+    (tmp_path / "data.yaml").write_text(
+        TINY_DATASET.replace("metaworld/drawer-open-v3", str(scene)).partition("rig:")[0]
+    )
+    assert generate(tmp_path / "data.yaml", tmp_path / "data") == 0
+    before = content_of(tmp_path / "data")
+    scene.write_text(scene.read_text().replace('mass="0.05"', 'mass="0.06"'))
+    capsys.readouterr()
+    assert generate(tmp_path / "data.yaml", tmp_path / "data", "--resume", "true") == 2
+    said = capsys.readouterr().err
+    assert "shards/000000.h5 is of another" in said and "(what differs: model_sha256)" in said and said.count("\n") == 1
+    assert content_of(tmp_path / "data") == before
+
+
+def test_a_folder_below_a_file_is_refused_in_a_sentence(
+    tiny_recipe: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "file").touch()
+    assert generate(tiny_recipe, tmp_path / "file" / "data") == 2
+    said = capsys.readouterr().err
+    assert f"{tmp_path / 'file'} is a file and no folder" in said and said.count("\n") == 1
 
 
 def test_resuming_with_another_configuration_is_refused(
