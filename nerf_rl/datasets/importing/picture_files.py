@@ -19,8 +19,11 @@ _MOST_BYTES = 1 << 28  # of a file
 MOST_PIXELS = 1 << 26
 """of a picture"""
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
-_PNG_HEAD, _PNG_COLOUR_TYPE, _WITH_ALPHA = 29, 25, (4, 6)  # bytes of signature and header without its checksum
+_PNG_HEAD, _PNG_DEPTH, _PNG_COLOUR_TYPE = 29, 24, 25  # bytes of signature and header without its checksum, places in it
+_WITH_ALPHA = (4, 6)
 _MOST_CHUNKS = 1000
+_MOST_COLOURS = 256  # of a palette
+_JPEG_PIXELS, _JPEG_END = b"\xff\xda", b"\xff\xd9"
 _FRAMES = frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC})  # JPEG's markers with a size
 
 
@@ -38,19 +41,35 @@ def has_alpha(path: Path) -> bool:
     """Tell whether a picture says how opaque its pixels are: PNG files may, of which only the head is read."""
     with open(path, "rb") as file:
         head = file.read(_PNG_HEAD)
-        if not head.startswith(_PNG) or len(head) < _PNG_HEAD:
-            return False
-        if head[_PNG_COLOUR_TYPE] in _WITH_ALPHA:
-            return True
+    is_png = head.startswith(_PNG) and len(head) == _PNG_HEAD
+    return is_png and (head[_PNG_COLOUR_TYPE] in _WITH_ALPHA or _transparency(path) is not None)
+
+
+def _transparent_grey(path: Path) -> int | None:
+    """Return what a grey pixel that is seen through is decoded to; None if no such pixels are told of."""
+    told = _transparency(path)
+    if told is None or len(told) < 2:
+        return None
+    with open(path, "rb") as file:
+        bits = file.read(_PNG_HEAD)[_PNG_DEPTH]
+    (grey,) = struct.unpack(">H", told[:2])
+    return int(grey if bits >= 8 else grey * 255 // (2**bits - 1))
+
+
+def _transparency(path: Path) -> bytes | None:
+    """Return what a PNG file says of the opacity of colours that have none of their own; None if nothing."""
+    with open(path, "rb") as file:
+        file.seek(_PNG_HEAD)
         for _ in range(_MOST_CHUNKS):  # one that gives colours of other pictures an opacity comes before the pixels
             file.seek(4, os.SEEK_CUR)  # over the checksum of the last one
             chunk = file.read(8)
             if len(chunk) < 8 or chunk[4:] == b"IDAT":
-                return False
+                return None
+            size = struct.unpack(">I", chunk[:4])[0]
             if chunk[4:] == b"tRNS":
-                return True
-            file.seek(struct.unpack(">I", chunk[:4])[0], os.SEEK_CUR)
-    return False
+                return file.read(min(size, _MOST_COLOURS))
+            file.seek(size, os.SEEK_CUR)
+    return None
 
 
 def read_opaque(path: Path, height: int, width: int) -> Bool[ndarray, "H W"]:
@@ -60,6 +79,8 @@ def read_opaque(path: Path, height: int, width: int) -> Bool[ndarray, "H W"]:
         SourceError: it is no such picture.
     """
     decoded = _decoded(path, height, width, cv2.IMREAD_UNCHANGED)
+    if decoded.ndim == 2 and (grey := _transparent_grey(path)) is not None:  # which OpenCV leaves unread
+        return decoded != grey
     if decoded.ndim != 3 or decoded.shape[2] != 4:
         return np.ones((height, width), bool)
     return decoded[..., 3] > np.iinfo(decoded.dtype).max // 2
@@ -104,7 +125,8 @@ def _decoded(path: Path, height: int, width: int, flags: int) -> ndarray:
     found = _size(path, content)
     if found != (height, width):
         raise SourceError(path, f"it is {found[1]} x {found[0]} pixels large instead of {width} x {height}")
-    if content.startswith(_PNG) and not _is_whole_png(content):  # decoders make do with what there is
+    is_whole = _is_whole_png if content.startswith(_PNG) else _is_whole_jpeg
+    if not is_whole(content):  # decoders make do with what there is
         raise SourceError(path, "its picture is damaged")
     try:
         decoded = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
@@ -155,3 +177,8 @@ def _jpeg_size(content: bytes) -> tuple[int, int] | None:
             return struct.unpack(">HH", content[place + 5 : place + 9])
         place += 2 + struct.unpack(">H", content[place + 2 : place + 4])[0]
     return None
+
+
+def _is_whole_jpeg(content: bytes) -> bool:
+    """Tell whether pixels of a JPEG file are followed by the marker that ends it; only OpenCV 5 looks for that."""
+    return content.rfind(_JPEG_END) > content.rfind(_JPEG_PIXELS)

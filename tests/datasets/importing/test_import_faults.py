@@ -109,6 +109,18 @@ def cut(source: Path) -> None:
     path.write_bytes(path.read_bytes()[:-200])
 
 
+def jpeg(change: Callable[[bytes], bytes]) -> Callable[[Path], None]:
+    """Return what makes the second scene's first picture a JPEG file with a smaller one in its head."""
+
+    def apply(source: Path) -> None:
+        pixels = np.random.default_rng(0).integers(0, 255, (SIZE, SIZE, 3), np.uint8)
+        whole, small = (cv2.imencode(".jpg", each)[1].tobytes() for each in (pixels, pixels[:4, :4]))
+        head = b"\xff\xe1" + struct.pack(">H", len(small) + 2) + small
+        picture("images", change(whole[:2] + head + whole[2:]))(source)
+
+    return apply
+
+
 def rename_camera(source: Path) -> None:
     (source / "moment_1" / "images" / "camera_0.png").rename(source / "moment_1" / "images" / "other.png")
     first(file_path="images/other.png")(source)
@@ -157,6 +169,9 @@ FAULTS = [
     (picture("images", png_head(SIZE, SIZE)), "its picture is damaged"),
     (picture("images", np.zeros((SIZE, SIZE, 3), np.uint8)), "its picture is black"),
     (cut, "its picture is damaged"),
+    (jpeg(lambda content: content[:-2]), "its picture is damaged"),
+    (jpeg(lambda content: content[:-100]), "its picture is damaged"),
+    (jpeg(lambda content: content[: content.rindex(b"\xff\xda") + 4]), "its picture is damaged"),
     (picture("depths", np.zeros((SIZE, SIZE), np.uint8)), "1 channels of 8 bits instead of one of 16"),
     (picture("semantics", np.zeros((SIZE, SIZE, 3), np.uint8)), "3 channels of 8 bits instead of one of 8"),
     (picture("semantics", np.full((SIZE, SIZE), 7, np.uint8)), "it shows the class 7, and transforms.json names 2"),
@@ -227,3 +242,21 @@ def test_a_source_is_never_overwritten(source: Path, tmp_path: Path, capsys: pyt
         assert cli.main(["import", str(source), "--out", str(out), "--overwrite", "true"]) == 2
         assert "lies in the output folder" in capsys.readouterr().err
     assert transforms(source).is_file()
+
+
+@pytest.mark.parametrize("progressive", [0, 1])
+def test_a_whole_jpeg_file_is_read_whatever_comes_after_it(progressive: int, source: Path, tmp_path: Path):
+    """Some cameras append what others do not know of; a progressive file has a scan for each refinement."""
+    pixels = np.random.default_rng(0).integers(0, 255, (SIZE, SIZE, 3), np.uint8)
+    content = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_PROGRESSIVE, progressive])[1].tobytes()
+    picture("images", content + b"more")(source)
+    assert cli.main(["import", str(source), "--out", str(tmp_path / "out")]) == 0
+
+
+def test_a_folder_below_a_file_is_refused_in_a_sentence(
+    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "file").touch()
+    assert cli.main(["import", str(source), "--out", str(tmp_path / "file" / "data")]) == 2
+    said = capsys.readouterr().err
+    assert f"{tmp_path / 'file'} is a file and no folder" in said and said.count("\n") == 1

@@ -2,6 +2,8 @@
 
 import json
 import re
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -111,7 +113,21 @@ def test_a_scene_that_is_exported_comes_back_with_what_it_had(dataset: MultiView
     np.testing.assert_array_equal(back.read("rgb"), dataset.read("rgb"))
 
 
-@pytest.mark.parametrize("kind", ["rgba", "rgba of 16 bits", "palette"])
+def grey_png(grey: np.ndarray, bits: int, transparent: int) -> bytes:
+    """Return a PNG file of grey pixels, of which those of one value are transparent."""
+
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+    height, width = grey.shape
+    digits = np.unpackbits(grey[..., None], axis=-1)[..., 8 - bits :].reshape(height, -1)
+    rows = np.pad(np.packbits(digits, axis=1), ((0, 0), (1, 0)))  # each begins with the filter's number
+    header = struct.pack(">IIBBBBB", width, height, bits, 0, 0, 0, 0)
+    parts = [(b"IHDR", header), (b"tRNS", struct.pack(">H", transparent)), (b"IDAT", zlib.compress(rows.tobytes()))]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunk(*part) for part in [*parts, (b"IEND", b"")])
+
+
+@pytest.mark.parametrize("kind", ["rgba", "rgba of 16 bits", "palette", "grey", "grey of 2 bits"])
 def test_pixels_that_are_transparent_by_more_than_half_do_not_count(tmp_path: Path, kind: str):
     write_capture(tmp_path / "capture", moments=2)
     scene = tmp_path / "capture" / "moment_1"
@@ -121,6 +137,11 @@ def test_pixels_that_are_transparent_by_more_than_half_do_not_count(tmp_path: Pa
         indices = pytest.importorskip("PIL.Image").fromarray(colours).quantize(16)
         alpha = np.where(np.array(indices) < 5, 0, 255)
         indices.save(scene / "images" / "b.png", transparency=bytes([0] * 5))
+    elif "grey" in kind:
+        bits = 2 if "2" in kind else 8
+        grey = np.random.default_rng(0).integers(0, 3, (HEIGHT, WIDTH)).astype(np.uint8)
+        alpha = np.where(grey == 1, 0, 255)
+        (scene / "images" / "b.png").write_bytes(grey_png(grey, bits, transparent=1))
     else:
         depth = np.uint16 if "16" in kind else np.uint8
         scale = np.iinfo(depth).max // 255
