@@ -1,7 +1,7 @@
 """``nerf-rl export``: choose frames or episodes and write them in the format asked for."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,8 @@ from nerf_rl.errors import UnknownNameError, UserError
 from nerf_rl.files.json_files import write_json
 from nerf_rl.files.outputs import SUMMARY, check_output, prepare_output, require_outside, write_provenance
 from nerf_rl.progress import Progress
+
+_NAMED_FRAMES = 5  # of those without content
 
 
 def export(config: ExportConfig) -> None:
@@ -70,30 +72,57 @@ def _frame_by_frame(dataset: MultiViewDataset, config: ExportConfig) -> Callable
         raise UserError(f"{dataset.folder} has no depth, which --format {config.format} is made of; use nerfstudio")
     if config.format == "mesh":
         load_open3d()
-    write_frame: dict[str, Callable[[Seen, Path], int | None]] = {
-        "nerfstudio": lambda seen, path: write_scene(path, seen, dataset, bool(config.exclude)),
-        "pointcloud": lambda seen, path: write_point_cloud(path.with_suffix(".ply"), seen.cloud()),
-        "mesh": lambda seen, path: write_mesh(path.with_suffix(".ply"), seen, config.voxel),
-    }
+    too_far = 0
+
+    def as_scene(path: Path, seen: Seen) -> bool:
+        nonlocal too_far
+        too_far += write_scene(path, seen, dataset, bool(config.exclude))
+        return True
+
+    def as_points(path: Path, seen: Seen) -> bool:
+        cloud = seen.cloud()
+        if len(cloud.points):
+            write_point_cloud(path.with_suffix(".ply"), cloud)
+        return len(cloud.points) > 0
+
+    def as_mesh(path: Path, seen: Seen) -> bool:
+        return write_mesh(path.with_suffix(".ply"), seen, config.voxel)
+
+    write_frame = {"nerfstudio": as_scene, "pointcloud": as_points, "mesh": as_mesh}[config.format]
 
     def write(out: Path) -> dict[str, int]:
         print(f"writing {len(frames)} frames as {config.format} to {out}")
-        too_far, pixels = 0, 0
+        pixels, empty = 0, list[int]()
         with Progress(len(frames), "frames") as progress:
             for index in frames:
                 seen = seen_in_frame(dataset, in_world(read_frame(dataset, int(index))), config.exclude, config.reach)
-                too_far += write_frame[config.format](seen, out / f"frame_{index:06d}") or 0
+                if not write_frame(out / f"frame_{index:06d}", seen):
+                    empty.append(int(index))
                 pixels += seen.frame.depth.size
                 progress.advance()
+        if empty:
+            _tell_of_empty(empty, len(frames), config.format)
         if too_far:
             print(
                 f"warning: {too_far / pixels:.1%} of the pixels show what is more than {FARTHEST:.1f} m away, which "
                 "nerfstudio's depth cannot hold; it is unknown there",
                 file=sys.stderr,
             )
-        return {"frames": len(frames)}
+        return {"frames": len(frames) - len(empty)}
 
     return write
+
+
+def _tell_of_empty(empty: Sequence[int], frames: int, form: str) -> None:
+    """Tell which frames nothing was written of; raise UserError if these are all."""
+    some = ", ".join(map(str, empty[:_NAMED_FRAMES])) + (", ..." if len(empty) > _NAMED_FRAMES else "")
+    which = f"frame {some} shows" if len(empty) == 1 else f"{len(empty)} of {frames} frames ({some}) show"
+    what, remedies = ("points", "") if form == "pointcloud" else ("surface to fuse", "lower --voxel, ")
+    told = f"{which} no {what}"
+    remedy = f"{remedies}raise --reach or --exclude fewer classes"
+    if len(empty) == frames:
+        raise UserError(f"{told}; {remedy}")
+    print(f"warning: {told}, of which no file is written; {remedy}", file=sys.stderr)
 
 
 def chosen_frames(dataset: MultiViewDataset, frames: list[int], episodes: list[int]) -> Int[ndarray, "N"]:

@@ -40,16 +40,13 @@ def load_open3d() -> ModuleType:
         ) from error
 
 
-def write_mesh(path: Path, seen: Seen, voxel: float) -> None:
-    """Fuse the views of a frame and write the surface as PLY.
+def write_mesh(path: Path, seen: Seen, voxel: float) -> bool:
+    """Fuse the views of a frame and write the surface as PLY; tell whether there is any that could be written.
 
     Args:
         path: of the file.
         seen: the frame and what of it counts.
         voxel: edge of the field's voxels [m].
-
-    Raises:
-        UserError: nothing that counts is seen.
     """
     open3d = load_open3d()
     tensor, single = open3d.core.Tensor, open3d.core.float32
@@ -69,8 +66,9 @@ def write_mesh(path: Path, seen: Seen, voxel: float) -> None:
         grid.integrate(blocks, image, colours, *camera, _DEPTH_UNIT, _FARTHEST, truncation)
     mesh = grid.extract_triangle_mesh(_LEAST_WEIGHT) if depth.any() else None
     if mesh is None or len(mesh.triangle.indices) == 0:
-        raise UserError(f"frame {frame.index} shows no surface to fuse; raise --reach or --exclude fewer classes")
+        return False
     _write(path, mesh.to_legacy())
+    return True
 
 
 def _write(path: Path, mesh: Any) -> None:

@@ -266,3 +266,22 @@ def test_without_open3d_a_mesh_is_refused_with_what_to_install(
         mesh.load_open3d()
     assert cli.main(["export", str(dataset.folder), "--out", str(tmp_path / "out"), "--format", "mesh"]) == 2
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("form", ["pointcloud", pytest.param("mesh", marks=needs_open3d)])
+def test_frames_that_show_nothing_of_what_is_asked_for_are_told_and_the_others_written(
+    form: str, dataset: MultiViewDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    shows = dataset.read("depth").min((1, 2, 3))
+    nearest, farthest = int(shows.argmin()), int(shows.argmax())
+    reach = (np.sort(shows)[0] + np.sort(shows)[-1]) / 2
+    words = ["export", str(dataset.folder), "--format", form, "--frames", f"[{nearest},{farthest}]"]
+    words += ["--voxel", "0.001"] if form == "mesh" else []
+    out = tmp_path / "some"
+    assert cli.main([*words, "--reach", str(reach), "--out", str(out)]) == 0
+    told = capsys.readouterr().err
+    assert f"warning: frame {farthest} shows no" in told and "raise --reach or --exclude fewer classes" in told
+    assert [path.name for path in out.glob("*.ply")] == [f"frame_{nearest:06d}.ply"]
+    assert json.loads((out / "summary.json").read_text())["frames"] == 1
+    assert cli.main([*words, "--reach", "0.001", "--out", str(tmp_path / "none")]) == 2
+    assert f"2 of 2 frames ({min(nearest, farthest)}, {max(nearest, farthest)}) show no" in capsys.readouterr().err
