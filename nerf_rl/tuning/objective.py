@@ -39,6 +39,8 @@ class TrainingObjective:
         """
         for other in trial.study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
             if other.params == trial.params and other.value is not None:
+                for step, value in other.intermediate_values.items():  # whoever is compared with this trial sees them
+                    trial.report(value, step)
                 return other.value
         values, spent = [], 0
         for seed in range(self.config.seeds):

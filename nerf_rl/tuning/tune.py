@@ -51,7 +51,8 @@ def tune(config: TuneConfig) -> dict[str, Any]:
         require_outside(out, *(path for path in (config.recipe, config.storage) if path and "://" not in path))
     begun = _is_search(out)
     if begun and config.resume:
-        require_same_keys(out, {**config.content(), "storage": config.storage, "study": config.study}, TuneConfig)
+        keys = {key: value for key, value in config.content().items() if key != "recipe"}  # its content is compared
+        require_same_keys(out, {**keys, "storage": config.storage, "study": config.study}, TuneConfig)
     check_output(out, config.overwrite, config.resume, begun, "tune")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     content = _content(config, base)

@@ -68,7 +68,13 @@ def test_a_search_leaves_what_it_promises_and_goes_on(
     assert "--resume true" in capsys.readouterr().err
     assert cli.main(["tune", "--config", recipe, "--out", str(out), "--resume", "true", "--seed", "3"]) == 2
     assert "was begun with another --seed" in capsys.readouterr().err
-    assert cli.main(["tune", "--config", recipe, "--out", str(out), "--resume", "true", "--workers", "1"]) == 0
+    elsewhere = tmp_path / "elsewhere.yaml"
+    elsewhere.write_text("seed: 0\n")
+    goes_on = ["tune", "--config", recipe, "--out", str(out), "--resume", "true", "--recipe", str(elsewhere)]
+    assert cli.main([*goes_on, "--workers", "1"]) == 0
+    elsewhere.write_text("replay: {alpha: 0.3}\n")
+    assert cli.main(goes_on) == 2
+    assert "was begun with another train-rl's replay" in capsys.readouterr().err
     assert json.loads((out / "summary.json").read_text())["best_params"] == summary["best_params"]
 
     best = cli.parse("train-rl", ["--config", str(out / "best.yaml"), "--out", "x"])

@@ -135,6 +135,8 @@ def test_parameters_that_were_tried_before_are_not_trained_again(runs: list[Trai
         run(study, objective, gamma)
     assert [trial.value for trial in study.get_trials()] == [75.0, 50.0, 75.0]
     assert [env_steps(trial) for trial in study.get_trials()] == [4000, 4000, 0] and len(runs) == 2
+    first, _, again = study.get_trials()
+    assert again.intermediate_values == first.intermediate_values == {2000: 37.5, 4000: 75.0}
 
 
 def test_a_pruned_trial_ends_at_once_and_what_it_cost_is_counted(runs: list[TrainRLConfig], tmp_path: Path) -> None:
