@@ -12,7 +12,7 @@ from numpy import ndarray
 from numpy.lib.npyio import NpzFile
 
 from nerf_rl.datasets.storage.reader import MultiViewDataset
-from nerf_rl.datasets.storage.shards import MANIFEST
+from nerf_rl.datasets.storage.shards import MANIFEST, UNFINISHED
 from nerf_rl.errors import MissingFileError, UserError
 from nerf_rl.scenes.base import Scene
 from nerf_rl.scenes.imported import require_simulator
@@ -51,6 +51,10 @@ def open_states(path: Path, scene: Scene) -> StoredStates:
         return _DatasetStates(path, scene)
     if path.suffix == ".npz" and path.is_file():
         return _ArchiveStates(path, scene)
+    if (path / UNFINISHED).is_file():
+        raise MissingFileError(
+            "a source of states", path, "a dataset that is not finished", "complete it by gen-dataset --resume true"
+        )
     raise MissingFileError(
         "a source of states", path, "neither a dataset nor an .npz file", "give --behaviour.states one of the two"
     )

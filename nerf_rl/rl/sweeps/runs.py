@@ -3,7 +3,7 @@
 import csv
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import yaml
 
@@ -24,6 +24,8 @@ _SUMMARY = mapping(
     },
     others=True,
 )
+_KEYS = mapping(dict.fromkeys(("env_steps", "evaluation_every", "envs", "action_repeat"), whole(1)), others=True)
+"""that tell when evaluations were due"""
 
 
 def run_folder(out: Path, seed: int) -> Path:
@@ -37,11 +39,10 @@ def is_training(folder: Path) -> bool:
 
 
 def is_finished(run: Path, config: TrainRLConfig) -> bool:
-    """Tell whether a run has had its environment steps, or its episodes; false where its summary is unreadable."""
+    """Tell whether a run has had its environment steps, or its episodes; false where its files are unreadable."""
     try:
-        summary = read_json(run / SUMMARY)
-        _SUMMARY(summary, "")
-    except (OSError, ValueError):
+        summary = read_run(run)
+    except (OSError, ValueError, RecursionError, yaml.YAMLError):
         return False
     return summary["env_steps"] >= config.env_steps or 0 < config.episodes <= summary["episodes"]
 
@@ -53,14 +54,16 @@ def read_run(run: Path) -> dict[str, Any]:
     more; ``good`` tells when the first one with a success rate of 95 % or more came, None if there was none.
 
     Raises:
-        OSError, ValueError: a file is missing or damaged.
+        OSError, ValueError, RecursionError, yaml.YAMLError: a file is missing or damaged.
     """
     summary, keys = read_json(run / SUMMARY), _keys(run)
     _SUMMARY(summary, "")
+    provenance = read_json(run / PROVENANCE)
+    mapping({"seed": whole()}, others=True)(provenance, "")
     evaluations = [{DUE: due(evaluation["env_steps"], keys), **evaluation} for evaluation in summary["evaluations"]]
     good = next((e["env_steps"] for e in evaluations if e.get(SUCCESS, 0.0) >= GOOD), None)
     return {
-        "seed": read_json(run / PROVENANCE)["seed"],
+        "seed": provenance["seed"],
         "run": run.name,
         **{name: summary[name] for name in ("env_steps", "episodes", "updates", "seconds")},
         **({DEMONSTRATIONS: summary[DEMONSTRATIONS]} if DEMONSTRATIONS in summary else {}),
@@ -77,7 +80,9 @@ def steps_so_far(run: Path) -> int:
 
 def _keys(run: Path) -> Mapping[str, Any]:
     """Return the keys of a run, with defaults for those that it did not have yet."""
-    return with_defaults(yaml.safe_load((run / "config.yaml").read_text(encoding="utf-8")), TrainRLConfig)
+    keys = with_defaults(yaml.safe_load((run / "config.yaml").read_text(encoding="utf-8")), TrainRLConfig)
+    _KEYS(keys, "")
+    return cast(Mapping[str, Any], keys)
 
 
 def _seconds_at(run: Path, env_steps: int) -> float | None:

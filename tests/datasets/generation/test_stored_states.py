@@ -1,6 +1,7 @@
 """Replaying states: of a dataset and of NumPy archives."""
 
 import io
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -172,6 +173,13 @@ def test_what_is_neither_dataset_nor_archive_is_refused(tmp_path: Path):
         UserError, match=r"neither a dataset nor an \.npz file; give --behaviour\.states one of the two"
     ):
         open_states(tmp_path, make_scene(BLOCKS))
+
+
+def test_a_dataset_that_is_not_finished_is_refused_as_such(tiny_dataset: Path, tmp_path: Path):
+    begun = shutil.copytree(tiny_dataset, tmp_path / "begun")
+    (begun / "manifest.json").rename(begun / "unfinished.json")
+    with pytest.raises(UserError, match="a dataset that is not finished; complete it by gen-dataset --resume true"):
+        open_states(begun, make_scene(BLOCKS))
 
 
 def test_too_short_a_source_is_told_with_the_length_it_has(

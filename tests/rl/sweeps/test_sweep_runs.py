@@ -240,6 +240,25 @@ def test_a_sweep_that_is_made_longer_says_from_then_on_what_is_unfinished(
     assert not (out / "learning_curves.png").exists()
 
 
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [("provenance.json", "{}"), ("provenance.json", "[1"), ("config.yaml", "env_steps: ["), ("config.yaml", "9")],
+)
+def test_a_finished_seed_whose_records_are_damaged_counts_as_unfinished(
+    name: str, content: str, undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def interrupted(train, config, seeds, *others):
+        asked.append(list(seeds))
+        raise KeyboardInterrupt
+        yield
+
+    out, asked = shutil.copytree(undisturbed, tmp_path / "sweep"), []
+    (out / "seed-1" / name).write_text(content)
+    monkeypatch.setattr("nerf_rl.rl.sweeps.sweep.train_seeds_apart", interrupted)
+    assert cli.main(["train-rl", *SWEEP, "--out", str(out), "--resume", "true"]) == 130
+    assert asked == [[1]] and json.loads((out / "summary.json").read_text())["unfinished"] == [1]
+
+
 def test_a_single_run_does_not_become_a_sweep(undisturbed: Path, capsys: pytest.CaptureFixture[str]):
     out = str(undisturbed / "seed-0")
     assert cli.main(["train-rl", *TINY, "--out", out, "--seeds", "0..1", "--resume", "true"]) == 2
