@@ -1,5 +1,6 @@
 """Which code a result was made by, and on what processor."""
 
+import functools
 import importlib.metadata
 import platform
 import subprocess
@@ -27,13 +28,16 @@ def git_revision() -> str | None:
 
 def package_versions() -> dict[str, str]:
     """Return the versions of the packages that results depend on."""
-    versions = {}
-    for name in _RECORDED_PACKAGES:
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return versions
+    versions = {name: _version(name) for name in _RECORDED_PACKAGES}
+    return {name: version for name, version in versions.items() if version is not None}
+
+
+@functools.cache  # what is imported stays as it is, and reading a package's metadata takes milliseconds
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
 
 
 def processor(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:

@@ -139,7 +139,7 @@ def _observed(description: Mapping[str, Any], encoder: Mapping[str, Any] | None)
 def _figures(evaluations: Sequence[Mapping[str, Any]], control: str, controls: Sequence[Control]) -> list[str]:
     """Return the last evaluation beside those of the controls, and all others."""
     if not evaluations:
-        return ["Its run has no evaluation."]
+        return ["Its run has not ended, so that what it reached is not told here."]
     own = "this agent" if control == NO_CONTROL else f"this agent, itself a control: {EYES_OF_CONTROLS[control]}"
     rows = [[own, *_row(evaluations[-1])], *([EYES_OF_CONTROLS[c.kind], *_row(c.last)] for c in controls)]
     heads = ["", "environment steps", "episodes", "success rate, 95 % interval", "mean return"]

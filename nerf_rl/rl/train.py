@@ -134,7 +134,7 @@ def _train(config: TrainRLConfig, goal_task: "GoalTask | None", envs: Any, recor
                     evaluate(config.evaluation_episodes)
                 if trainer.env_steps // config.checkpoint_every > before // config.checkpoint_every:
                     trainer.save()
-            if not trainer.evaluations or trainer.evaluations[-1]["env_steps"] < trainer.env_steps:
+            if not trainer.is_evaluated(config.final_evaluation_episodes):
                 evaluate(config.final_evaluation_episodes)  # also of a run that is to end where it was interrupted
                 trainer.save()
             else:  # by its checkpoint it had come to its end; the policy that is there may be a later one's

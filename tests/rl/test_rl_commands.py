@@ -334,8 +334,9 @@ def test_what_cannot_be_begun_does_not_cost_an_earlier_result(
     assert (evaluation / "summary.json").read_bytes() == told
 
 
+@pytest.mark.parametrize(("asked", "told"), [(1, 2), (3, 3)], ids=["evaluated already", "in fewer episodes"])
 def test_a_run_that_is_to_end_at_its_checkpoint_keeps_the_policy_of_then(
-    tiny_encoder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    asked: int, told: int, tiny_encoder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "agent"
     words = ["train-rl", "--encoder", str(tiny_encoder), "--out", str(out), *SHORT, "--checkpoint_every", "80"]
@@ -351,6 +352,9 @@ def test_a_run_that_is_to_end_at_its_checkpoint_keeps_the_policy_of_then(
         killed.setattr(Trainer, "save", save_once)
         assert cli.main(words) == 130
     assert saved == [80] and Policy.load(out).env_steps == 120
-    assert cli.main([*words, "--env_steps", "80", "--resume", "true"]) == 0
-    last = json.loads((out / "summary.json").read_text())["evaluations"][-1]
-    assert Policy.load(out).env_steps == last["env_steps"] == 80
+    keys = ["--env_steps", "80", "--final_evaluation_episodes", str(asked)]
+    assert cli.main([*words, *keys, "--resume", "true"]) == 0
+    (last,) = json.loads((out / "summary.json").read_text())["evaluations"]
+    assert Policy.load(out).env_steps == last["env_steps"] == 80 and last["episodes"] == told
+    with np.load(out / "evaluations.npz") as drawn:
+        assert drawn["timesteps"].tolist() == [80] and drawn["results"].shape == (1, told)

@@ -167,7 +167,7 @@ class Trainer:
         self.episodes += int((self._length > 0).sum())
 
     def evaluate(self, episodes: int) -> dict[str, Any]:
-        """Run evaluation episodes with the policy that is kept; return and keep the result.
+        """Run evaluation episodes with the policy that is kept; return the result, and keep it in place of one of now.
 
         Raises:
             DivergedError: a return or an action is no number.
@@ -178,10 +178,16 @@ class Trainer:
         told = {DEMONSTRATIONS: self._config.demonstrations} if self._config.demonstrations else {}
         when = {"env_steps": self.env_steps, DUE: due(self.env_steps, vars(self._config))}
         facts = {**when, "training_episodes": self.episodes, **told}
-        self.evaluations.append({**facts, **found.summary()})
+        before = [evaluation for evaluation in self.evaluations if evaluation["env_steps"] < self.env_steps]
+        self.evaluations = [*before, {**facts, **found.summary()}]
         self._zoo.add_evaluation(self.env_steps, found)
         self.metrics.write_evaluation(self.evaluations[-1])
         return self.evaluations[-1]
+
+    def is_evaluated(self, episodes: int) -> bool:
+        """Tell whether the agent, as it is now, has been evaluated in so many episodes or more."""
+        last = self.evaluations[-1] if self.evaluations else {"env_steps": -1}
+        return last["env_steps"] == self.env_steps and last["episodes"] >= episodes
 
     def save(self) -> None:
         """Write a checkpoint; call it only between two calls of :meth:`train`.

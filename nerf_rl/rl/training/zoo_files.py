@@ -41,7 +41,9 @@ class ZooFiles:
         writer.writerows(rows)
         write_text(self._monitor, text.getvalue())
         self._results = _kept_evaluations(self._evaluations, env_steps)
-        if not self._results:
+        if self._results:
+            self._write_evaluations()
+        else:
             self._evaluations.unlink(missing_ok=True)
 
     def add_episode(
@@ -62,7 +64,7 @@ class ZooFiles:
             csv.writer(file, lineterminator="\n").writerow(row)
 
     def add_evaluation(self, env_steps: int, episodes: Episodes) -> None:
-        """Add an evaluation and write all of them again.
+        """Add an evaluation, in place of one after as many steps, and write all of them again.
 
         The arrays have a row for each evaluation, and as many columns as the one with the fewest episodes has: those
         are of the same seeds in all of them.
@@ -70,12 +72,17 @@ class ZooFiles:
         new: dict[str, ndarray] = {"results": episodes.returns, "ep_lengths": episodes.length}
         if episodes.success is not None:
             new["successes"] = episodes.success
-        held = self._results or {name: np.empty((0, len(row)), row.dtype) for name, row in new.items()}
+        steps = self._results.get("timesteps", np.empty(0, np.int64))
+        before = steps < env_steps
+        held = {name: self._results[name][before] for name in new if name in self._results}
+        if not before.any():
+            held = {name: np.empty((0, len(row)), row.dtype) for name, row in new.items()}
         fewest = min(len(episodes.returns), held["results"].shape[1])
-        steps = np.append(held.get("timesteps", np.empty(0, np.int64)), env_steps)
-        both = [name for name in new if name in held]
-        rows = {name: np.concatenate([held[name][:, :fewest], new[name][None, :fewest]]) for name in both}
-        self._results = {"timesteps": steps, **rows}
+        rows = {name: np.concatenate([kept[:, :fewest], new[name][None, :fewest]]) for name, kept in held.items()}
+        self._results = {"timesteps": np.append(steps[before], env_steps), **rows}
+        self._write_evaluations()
+
+    def _write_evaluations(self) -> None:
         with atomic_write(self._evaluations) as aside:
             np.savez(aside, **self._results)  # type: ignore[arg-type]  # numbers alone, so that nothing is pickled
 
