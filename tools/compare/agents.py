@@ -62,7 +62,12 @@ def main() -> None:
     parser.add_argument("--encoder", default="", help="what the agents see by; none for the true state")
     parser.add_argument("--eyes", help="what to call what they see by, where encoders differ by more than their seed")
     parser.add_argument("--seeds", default="0..9", help="as train-rl takes them")
-    parser.add_argument("--arms", nargs="+", default=["the recipe"], help="what agents do otherwise than the recipe")
+    parser.add_argument(
+        "--arms",
+        nargs="+",
+        default=["the recipe"],
+        help=f"what agents do otherwise than {RECIPE}, which is 'the recipe'",
+    )
     parser.add_argument("--env_steps", type=int, default=30_000, help="of each run")
     parser.add_argument("--work", type=Path, default=Path("runs/agents"), help="folder of the runs")
     arguments = parser.parse_args()
