@@ -10,7 +10,18 @@ from typing import Any
 from nerf_rl.errors import MissingFileError, UserError
 from nerf_rl.files.json_files import read_json
 from nerf_rl.hub.fetch import ENCODER_IN_AGENT
-from nerf_rl.push.card import UNKNOWN, Naming, code, front_matter, installing, joined, last_sections, picture, table
+from nerf_rl.push.card import (
+    NO_SUMMARY,
+    UNKNOWN,
+    Naming,
+    code,
+    front_matter,
+    installing,
+    joined,
+    last_sections,
+    picture,
+    table,
+)
 from nerf_rl.push.encoder_card import describe_cameras
 from nerf_rl.rl.agents.policy_file import POLICY_DESCRIPTION
 from nerf_rl.rl.config import BLIND, EYES_OF_CONTROLS, NO_CONTROL, RANDOM
@@ -139,7 +150,7 @@ def _observed(description: Mapping[str, Any], encoder: Mapping[str, Any] | None)
 def _figures(evaluations: Sequence[Mapping[str, Any]], control: str, controls: Sequence[Control]) -> list[str]:
     """Return the last evaluation beside those of the controls, and all others."""
     if not evaluations:
-        return ["Its run has not ended, so that what it reached is not told here."]
+        return [NO_SUMMARY]
     own = "this agent" if control == NO_CONTROL else f"this agent, itself a control: {EYES_OF_CONTROLS[control]}"
     rows = [[own, *_row(evaluations[-1])], *([EYES_OF_CONTROLS[c.kind], *_row(c.last)] for c in controls)]
     heads = ["", "environment steps", "episodes", "success rate, 95 % interval", "mean return"]

@@ -12,6 +12,7 @@ from nerf_rl.push.picture import PICTURE
 CARD = "README.md"
 LIBRARY = "nerf-rl"
 UNKNOWN = "unknown"
+NO_SUMMARY = "It came without a summary of its run."
 _TOLD = ("mujoco", "metaworld", "gymnasium", "torch")  # of the packages whose versions are known
 
 

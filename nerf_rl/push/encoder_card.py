@@ -8,7 +8,18 @@ from typing import Any
 import numpy as np
 
 from nerf_rl.pretrain.measures.figures import describe_error, describe_iou
-from nerf_rl.push.card import UNKNOWN, Naming, code, front_matter, installing, joined, last_sections, picture, table
+from nerf_rl.push.card import (
+    NO_SUMMARY,
+    UNKNOWN,
+    Naming,
+    code,
+    front_matter,
+    installing,
+    joined,
+    last_sections,
+    picture,
+    table,
+)
 from nerf_rl.scenes.base import GYM, METAWORLD
 
 
@@ -92,7 +103,7 @@ def _taught(description: Mapping[str, Any]) -> str:
 def _figures(summary: Mapping[str, Any]) -> list[str]:
     """Return the figures of the run's own summary."""
     if not summary:
-        return ["It came without a summary of its run."]
+        return [NO_SUMMARY]
     parts, validation = [], summary.get("validation") or {}
     if validation:
         told = {title: what for title, what in _VALIDATION.items() if what[0] in validation}

@@ -102,11 +102,11 @@ def test_an_agent_is_evaluated_from_the_hub_with_the_encoder_that_it_brings(
     assert sheet.stat().st_size > 0
 
 
-def test_the_card_of_an_agent_that_is_still_trained_says_so(tiny_agent: Path, tmp_path: Path):
+def test_the_card_of_an_agent_that_is_still_trained_does_not_call_it_unevaluated(tiny_agent: Path, tmp_path: Path):
     run = shutil.copytree(tiny_agent, tmp_path / "run")
     (run / "summary.json").unlink()
     assert push(run, "--out", str(tmp_path / "out")) == 0
-    assert "Its run has not ended" in (tmp_path / "out" / "README.md").read_text()
+    assert "It came without a summary of its run." in (tmp_path / "out" / "README.md").read_text()
 
 
 def test_commands_and_lines_of_a_card_hold_any_name(tiny_agent: Path, tiny_encoder: Path, tmp_path: Path):

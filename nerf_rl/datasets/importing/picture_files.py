@@ -23,7 +23,6 @@ _PNG_HEAD, _PNG_DEPTH, _PNG_COLOUR_TYPE = 29, 24, 25  # bytes of signature and h
 _WITH_ALPHA = (4, 6)
 _MOST_CHUNKS = 1000
 _MOST_COLOURS = 256  # of a palette
-_JPEG_PIXELS, _JPEG_END = b"\xff\xda", b"\xff\xd9"
 _FRAMES = frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC})  # JPEG's markers with a size
 
 
@@ -39,37 +38,39 @@ def read_colours(path: Path, height: int, width: int) -> UInt8[ndarray, "H W 3"]
 
 def has_alpha(path: Path) -> bool:
     """Tell whether a picture says how opaque its pixels are: PNG files may, of which only the head is read."""
-    with open(path, "rb") as file:
-        head = file.read(_PNG_HEAD)
-    is_png = head.startswith(_PNG) and len(head) == _PNG_HEAD
-    return is_png and (head[_PNG_COLOUR_TYPE] in _WITH_ALPHA or _transparency(path) is not None)
+    header, transparent = _png_head(path)
+    return transparent is not None or (header != b"" and header[_PNG_COLOUR_TYPE] in _WITH_ALPHA)
 
 
 def _transparent_grey(path: Path) -> int | None:
     """Return what a grey pixel that is seen through is decoded to; None if no such pixels are told of."""
-    told = _transparency(path)
-    if told is None or len(told) < 2:
+    header, transparent = _png_head(path)
+    if transparent is None or len(transparent) < 2:
         return None
-    with open(path, "rb") as file:
-        bits = file.read(_PNG_HEAD)[_PNG_DEPTH]
-    (grey,) = struct.unpack(">H", told[:2])
+    bits = header[_PNG_DEPTH]
+    (grey,) = struct.unpack(">H", transparent[:2])
     return int(grey if bits >= 8 else grey * 255 // (2**bits - 1))
 
 
-def _transparency(path: Path) -> bytes | None:
-    """Return what a PNG file says of the opacity of colours that have none of their own; None if nothing."""
+def _png_head(path: Path) -> tuple[bytes, bytes | None]:
+    """Return a PNG file's signature and header, and what it says of the opacity of colours that have none of their own.
+
+    Of another file nothing is returned, and None of one that says nothing.
+    """
     with open(path, "rb") as file:
-        file.seek(_PNG_HEAD)
+        header = file.read(_PNG_HEAD)
+        if not header.startswith(_PNG) or len(header) < _PNG_HEAD:
+            return b"", None
         for _ in range(_MOST_CHUNKS):  # one that gives colours of other pictures an opacity comes before the pixels
             file.seek(4, os.SEEK_CUR)  # over the checksum of the last one
             chunk = file.read(8)
             if len(chunk) < 8 or chunk[4:] == b"IDAT":
-                return None
+                break
             size = struct.unpack(">I", chunk[:4])[0]
             if chunk[4:] == b"tRNS":
-                return file.read(min(size, _MOST_COLOURS))
+                return header, file.read(min(size, _MOST_COLOURS))
             file.seek(size, os.SEEK_CUR)
-    return None
+    return header, None
 
 
 def read_opaque(path: Path, height: int, width: int) -> Bool[ndarray, "H W"]:
@@ -125,8 +126,7 @@ def _decoded(path: Path, height: int, width: int, flags: int) -> ndarray:
     found = _size(path, content)
     if found != (height, width):
         raise SourceError(path, f"it is {found[1]} x {found[0]} pixels large instead of {width} x {height}")
-    is_whole = _is_whole_png if content.startswith(_PNG) else _is_whole_jpeg
-    if not is_whole(content):  # decoders make do with what there is
+    if content.startswith(_PNG) and not _is_whole_png(content):  # decoders make do with what there is
         raise SourceError(path, "its picture is damaged")
     try:
         decoded = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
@@ -177,8 +177,3 @@ def _jpeg_size(content: bytes) -> tuple[int, int] | None:
             return struct.unpack(">HH", content[place + 5 : place + 9])
         place += 2 + struct.unpack(">H", content[place + 2 : place + 4])[0]
     return None
-
-
-def _is_whole_jpeg(content: bytes) -> bool:
-    """Tell whether pixels of a JPEG file are followed by the marker that ends it; only OpenCV 5 looks for that."""
-    return content.rfind(_JPEG_END) > content.rfind(_JPEG_PIXELS)

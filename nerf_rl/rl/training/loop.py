@@ -186,8 +186,8 @@ class Trainer:
 
     def is_evaluated(self, episodes: int) -> bool:
         """Tell whether the agent, as it is now, has been evaluated in so many episodes or more."""
-        last = self.evaluations[-1] if self.evaluations else {"env_steps": -1}
-        return last["env_steps"] == self.env_steps and last["episodes"] >= episodes
+        last = self.evaluations[-1:]
+        return any(each["env_steps"] == self.env_steps and each["episodes"] >= episodes for each in last)
 
     def save(self) -> None:
         """Write a checkpoint; call it only between two calls of :meth:`train`.
